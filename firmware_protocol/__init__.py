@@ -9,6 +9,6 @@ nor on a bus.
 - `packet` : header and CRC-32
 - `serial_link`, `can_link`, `i2c_link` : delimiting of packets on each link
 - `samples`, `spectrum` : coding of the drive
-- `host`, `clock` : host side
+- `host`, `clock` : host side; `capabilities` : what a host requires of CAPS
 - `amplifier`, `player` : amplifier in Python; `c/` holds one in C99
 """

@@ -163,16 +163,17 @@ def codes_of(volts: NDArray[np.float64], full_scale: float) -> NDArray[np.int16]
     Parameters
     ----------
     volts : array of float
-        Finite voltages within ±``full_scale`` [V].
+        Finite voltages [V]; those beyond ±``full_scale`` are clipped to it.
     full_scale : float
-        Voltage of the largest sample code [V].
+        Voltage of the largest sample code, more than 0 [V].
 
     Returns
     -------
     array of int
         Sample codes.
     """
-    return np.rint(volts * (FULL_SCALE_CODE / full_scale)).astype(np.int16)
+    codes = np.rint(volts * (FULL_SCALE_CODE / full_scale))
+    return np.clip(codes, -FULL_SCALE_CODE, FULL_SCALE_CODE).astype(np.int16)
 
 
 def _even(total: int, most: int) -> int:

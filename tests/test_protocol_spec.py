@@ -152,7 +152,7 @@ def test_numbers_that_the_spec_gives_are_those_of_the_schema() -> None:
         (SCHEMA["enum"]["estop_reason"]["INPUT"], r"0 for (\d+), which is the e-stop input's"),
         (limits["START_AHEAD_MS"] // 1000, r"or more than (\d+) s after: TIME"),
         (limits["FULL_SCALE_CODE"], r"integer −32767 … (\d+)"),
-        (limits["CARRIERS_MAX"], r"most that it synthesizes, up to (\d+)"),
+        (limits["CARRIERS_MAX"], r"\| carriers \| 0 \| (\d+) \|"),
         (1000 // limits["VALID_MS"], r"at most ⌊rate / (\d+)⌋"),
         (SCHEMA["protocol"]["major"], r"major version \((\d)\)"),
     ):

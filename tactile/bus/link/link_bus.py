@@ -170,7 +170,20 @@ class LinkBus(Bus):
                 f"what comes is no packet of the protocol ({invalid} so far): another bit rate, "
                 "or another device"
             )
+        if self._session.phase is SessionPhase.CLOCK:
+            return self._clock_trouble()
         return "nothing answers HELLO: is the amplifier powered, and is this its link?"
+
+    def _clock_trouble(self) -> str:
+        """Return why the clock of an amplifier did not become known in time."""
+        peer = min(self._session.peers, key=lambda peer: peer.locked)
+        node, clock = peer.host.node, peer.clock
+        if clock is None or not clock.rejected:
+            return f"node {node} answers HELLO, but too few TIMEs (SPEC.md, 7.2)"
+        return (
+            f"node {node}: {clock.rejected} of its TIME_REPLYs do not fit a clock of "
+            f"{clock.tick_hz:.0f} Hz, which is tick_hz of its CAPS; correct its firmware"
+        )
 
     @property
     def status(self) -> BusStatus:

@@ -174,6 +174,8 @@ class Peer:
         elif isinstance(message, m.Ack):
             if (message.type, message.seq) == (request.type, request.seq):
                 self._request = None
+        elif isinstance(message, m.Caps) and message.session != self.host.session:
+            return  # it may be a late answer to the HELLO that searched
         elif isinstance(message, ANSWERS.get(request.type, m.Ack)):
             self._request = None
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
+from firmware_protocol.capabilities import caps_fault
 from firmware_protocol.host import BY_HOST, refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
@@ -411,7 +412,8 @@ class LinkSession:
             Reason, one line; empty if the link works.
         """
         if any(peer.lost for peer in self.peers):
-            return "the amplifier does not answer"
+            foreign = self._caps_fault() if self.phase is SessionPhase.GREET else ""
+            return foreign or "the amplifier does not answer"
         if self.phase.value > SessionPhase.GREET.value and self.phase is not SessionPhase.ENDED:
             for peer in self.peers:
                 if peer.reset_evidence:
@@ -546,6 +548,13 @@ class LinkSession:
             self._enter(phase, now)
 
     def _after_greet(self, now: float) -> None:
+        """Take the amplifiers if their CAPS is right; else ask again, or refuse at the opening."""
+        if fault := self._caps_fault():
+            self._report_fault(fault)
+            if self.plan is None:
+                self.refusal = fault
+            self._wait(SessionPhase.GREET, now)
+            return
         for peer in self.peers:
             peer.greeted()
         if self.plan is None:
@@ -556,6 +565,13 @@ class LinkSession:
                 self._enter(SessionPhase.ENDED, now)
                 return
         self._enter(SessionPhase.CLOCK, now)
+
+    def _caps_fault(self) -> str:
+        """Return what is wrong with the CAPS of an amplifier, one line; empty if nothing is."""
+        for peer in self.peers:
+            if peer.host.caps is not None and (fault := caps_fault(peer.host.caps, self.token)):
+                return f"node {peer.host.node}: {fault}"
+        return ""
 
     def _fit(self, caps: Sequence[m.Caps]) -> None:
         """Make the plan and the stream; raise InputError if the display asks for too much."""

@@ -73,7 +73,7 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
     arbitration_us : float
         Longest time that a chunk or frame waits for other traffic [µs].
     fifo_ms : float
-        Length of an amplifier's buffer [ms].
+        Length of an amplifier's buffer at 16 kHz [ms].
     disconnect_s : float or None
         Mean time between losses of the link [s]; by default there are none.
     power_s : float or None
@@ -97,7 +97,7 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
     reorder: Share = 0.0
     delay_ms: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
     arbitration_us: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
-    fifo_ms: Annotated[float, Meta(ge=1, le=10000)] = 64.0
+    fifo_ms: Annotated[float, Meta(ge=64, le=4000)] = 64.0
     disconnect_s: Interval | None = None
     power_s: Interval | None = None
     stall_s: Interval | None = None

@@ -182,10 +182,10 @@ class Simulation:
                 ledger.begin(position)
             return real_begin(stream, position, time, **named)
 
-        def clear(stream: LinkStream, **named: bool) -> None:
+        def clear(stream: LinkStream, now: float = math.inf) -> None:
             for ledger in ledgers(stream):
                 ledger.withdraw()
-            real_clear(stream, **named)
+            real_clear(stream, now)
 
         patch.setattr(ModeledBus, "write", write)
         patch.setattr(LinkStream, "clear", clear)

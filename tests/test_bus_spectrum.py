@@ -14,8 +14,9 @@ from firmware_protocol import spectrum
 from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.messages import FULL_SCALE_CODE
 from tactile.arrays import Complex, Floats
-from tactile.bus.base import BusCounters, DriveBlock, DriveFrame
+from tactile.bus.base import DriveBlock, DriveFrame
 from tactile.bus.board import config_of
+from tactile.bus.link.stream import LinkBusCounters
 from tactile.bus.simulated import modeled_bus
 from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
@@ -175,7 +176,7 @@ def test_a_bus_that_takes_frames_takes_no_blocks_and_is_tuned_first(
             bus.write(block)
         with pytest.raises(BusStateError, match="tune: the bus is running"):
             bus.tune(np.array([100.0]))
-        assert bus.counters == BusCounters()
+        assert bus.counters == LinkBusCounters()
         with pytest.raises(InputError, match="write_frame: 3 carriers, not 2"):
             bus.write_frame(DriveFrame(0, np.zeros((display.channels, 3), complex)))
         with pytest.raises(InputError, match=r"write_frame: shape \(2, 2\), needs \(24, P\)"):

@@ -12,10 +12,11 @@ from link_rig import LEVEL, RATE, SAMPLE, Bench, Linked, Panel, fade_in, overhea
 from firmware_protocol import messages as m
 from firmware_protocol.messages import State
 from firmware_protocol.packet import Packet
-from tactile.bus.base import BusCounters, DriveFrame, Wiring
+from tactile.bus.base import DriveFrame, Wiring
 from tactile.bus.budget import Plan
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.session import LinkSession
+from tactile.bus.link.stream import LinkBusCounters
 from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Unlimited
 from tactile.devices import open_bus
@@ -51,7 +52,9 @@ class Faulty(Wire):
 
 
 def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
-    session = LinkSession(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters())
+    session = LinkSession(
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=LinkBusCounters()
+    )
     first, second = session.estop(0.0), session.estop(0.0)
     assert first.type == second.type == m.Estop.TYPE
     assert first.node == second.node == 0
@@ -60,7 +63,9 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
 
 def test_an_amplifier_that_takes_55_ms_to_answer_a_hello_to_all_is_found_as_well() -> None:
     """Another takes 10 ms; 5 ms after the slow one the session begins with both."""
-    session = LinkSession(Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters())
+    session = LinkSession(
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=LinkBusCounters()
+    )
     wire, slow, quick = Faulty(Unlimited()), 1, 2
     answers = {10: quick, 55: slow}
     session.connected(0.0)
@@ -90,7 +95,7 @@ def test_an_amplifier_that_another_host_holds_is_waited_for_and_no_other_that_re
     code: m.NakCode, waits: bool
 ) -> None:
     session = LinkSession(
-        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters(), nodes=[1]
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=LinkBusCounters(), nodes=[1]
     )
     wire = Noting()
     session.connected(0.0)
@@ -111,7 +116,7 @@ def test_an_amplifier_that_another_host_holds_is_waited_for_and_no_other_that_re
 def test_an_estop_is_sent_though_an_amplifier_has_answered_no_hello() -> None:
     """Another thread may e-stop before that of the link has let go of the wire."""
     session = LinkSession(
-        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=BusCounters(), nodes=[1]
+        Wiring.of(Panel(), RATE), token=1, choose=no_plan, counters=LinkBusCounters(), nodes=[1]
     )
     wire = Noting()
     session.connected(0.0)

@@ -35,7 +35,7 @@ class TestStates:
         assert bus.status == base.BusStatus("idle")
         assert bus.wiring == Wiring.of(three, RATE)
         assert bus.on_host_death in get_args(HostDeath)
-        assert bus.counters == base.BusCounters()
+        assert bus.counters == type(bus.counters)()
         assert not bench.put_out(bus).any()
 
     def test_start_is_refused_while_running_and_after_close(

@@ -32,7 +32,7 @@ class OutputLedger:
         """Wire position of START; positions from there on that were waited for, and positions that
         were bridged or silent later; positions that were put out before START."""
         self._reported = 0.0
-        """Host time of the latest report of RUNNING [s]."""
+        """Host time of START, or of the latest report of RUNNING [s]."""
         self._lost_seen: int | None = None
         """Latest value of the amplifier's counter of lost samples."""
 
@@ -55,29 +55,36 @@ class OutputLedger:
         self._begin, self._reported, self.running = begin, time, True
         self.passed = self._silent = self._lost = 0
 
-    def report(self, message: m.Pulse | m.Status, fifo: int, now: float) -> None:
+    def count_lost(self, count: int) -> None:
+        """Take the amplifier's counter of lost samples, which rises only after a START.
+
+        Parameters
+        ----------
+        count : int
+            `lost_samples` of STATUS.
+        """
+        self._lost += rise(count, self._lost_seen)
+        self._lost_seen = count
+
+    def report(self, message: m.Pulse | m.Status, position: int, now: float) -> None:
         """Take a report.
 
         Parameters
         ----------
         message : Pulse or Status
             Report of the amplifier.
-        fifo : int
-            Length of its buffer [samples].
+        position : int
+            Position that it says is put out next, modulo 2³²; one that can be that of this START.
         now : float
             Host time of its reception [s].
         """
-        if isinstance(message, m.Status):
-            self._lost += rise(message.lost_samples, self._lost_seen)
-            self._lost_seen = message.lost_samples
-            position = message.position
-        else:
-            position = message.credit_position - fifo
-        # Before START the position is far behind. It wraps, and playing may last for weeks.
+        # It wraps, and playing may last for weeks.
         passed = self.passed + distance(position % TURN, (self._begin + self.passed) % TURN)
-        if not self.running or passed < 0:
+        runs = message.state == State.RUNNING
+        # What is not RUNNING before the time of START may be a report from before it has come.
+        if not self.running or passed < 0 or (now < self._reported and not runs):
             return
-        self.running = message.state == State.RUNNING
+        self.running = runs
         if self.running or now - self._reported < NEXT_REPORT:
             self.passed = max(passed, self.passed)
         if self.running:

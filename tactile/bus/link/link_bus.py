@@ -24,6 +24,7 @@ from tactile.bus.budget import Plan
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import Goal, SessionPhase
 from tactile.bus.link.session import LinkSession
+from tactile.bus.link.stream import LinkBusCounters
 from tactile.bus.wire import Wire, WireError
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
@@ -102,6 +103,7 @@ class LinkBus(Bus):
         clock: Clock | None = None,
     ) -> None:
         super().__init__(wiring, clock or MONOTONIC)
+        self.counters: LinkBusCounters = LinkBusCounters()
         self._connect = connect
         self._changed = threading.Condition()  # the lock, which is notified of a new phase
         self._wire: Wire | None = connect()
@@ -192,7 +194,8 @@ class LinkBus(Bus):
             session, wire = self._session, self._wire
             up = wire is not None and session.phase.value > SessionPhase.CLOCK.value
             warning = wire.warning if wire is not None else ""
-            detail = session.trouble or warning or session.fragments.warning
+            no_credit = session.stream.no_credit if session.stream is not None else ""
+            detail = session.trouble or no_credit or warning or session.fragments.warning
             state = self.state
             playing = state == "running" and session.known_to_run(self._clock.now())
             link: Literal["up", "down"] = "up" if up else "down"

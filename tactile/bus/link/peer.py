@@ -22,6 +22,9 @@ ANSWERS: dict[int, type[Message]] = {m.Hello.TYPE: m.Caps, m.Poll.TYPE: m.Status
 TIME_LENGTH = m.TimeReply.HEAD.size
 """Length to which TIME is padded, so that both directions take equally long (SPEC.md, 7.2)
 [bytes]."""
+OLDEST = 0.25
+"""Longest time for which a report may have been on its way, that after which a silent amplifier
+counts as lost [s]."""
 POLL_INTERVAL = 0.25
 """Interval of requests for STATUS while an amplifier plays, or its e-stop input is open [s]."""
 
@@ -54,6 +57,8 @@ class Peer:
         Number of underruns since this host has known the amplifier.
     late : int
         Number of samples that were too late for the amplifier, since then.
+    credit_faults : int
+        Number of PULSEs with a credit that cannot be right, since then.
     ledger : OutputLedger
         Count of the positions that the amplifier has put out.
     begun : int
@@ -68,12 +73,14 @@ class Peer:
         self.last_received = -math.inf
         self.refused: m.Nak | None = None
         self.lost = False
-        self.underruns = self.late = 0
+        self.underruns = self.late = self.credit_faults = 0
         self.ledger = OutputLedger()
         self._late_seen: int | None = None
         """Latest value of the amplifier's counter of late samples."""
         self._underruns_seen: int | None = None
         """Latest value of its counter of underruns."""
+        self._outdated_until = -math.inf
+        """Host time up to which reports may be older than `OLDEST` [s]."""
         self._status_seen = self._restarted = False
         """Whether a STATUS has come since the wire was opened, and whether the clock began anew."""
         self._greeting_probe = math.inf
@@ -81,6 +88,8 @@ class Peer:
         self._sent_end = self._origin = self._start_position = self.begun = 0
         """Unwrapped wire position after all that was sent; wire position of position 0; position
         of the latest START; and its tick."""
+        self._rate = 0.0
+        """Sample rate of the latest START; 0 before the first one [Hz]."""
         self._requests: deque[Message] = deque()
         self._request: Packet | None = None
         """Request that waits for its answer."""
@@ -156,12 +165,13 @@ class Peer:
         message = self.host.receive(packet)
         if message is None:
             return
+        if now > self.last_received + OLDEST:  # what waited for a host that was held up is older
+            self._outdated_until = now + OLDEST
         self.last_received = now
         request = self._request
         if isinstance(message, m.Pulse | m.Status):
             self._update(message)
-            if self.host.caps is not None:
-                self.ledger.report(message, self.caps.fifo_samples, now)
+            self._report(message, now)
         elif isinstance(message, m.TimeReply):
             self._add_exchange(message, now)
         self.queries.receive(message)
@@ -194,6 +204,37 @@ class Peer:
                 self._underruns_seen + ((message.underruns - self._underruns_seen) & 0xFF),
                 self._late_seen,
             )
+
+    def _report(self, message: m.Pulse | m.Status, now: float) -> None:
+        """Pass a report on to the ledger, with its position if that can be one since START.
+
+        A report from before START has any position, and so has a wrong credit, which is counted.
+        """
+        if isinstance(message, m.Status):
+            self.ledger.count_lost(message.lost_samples)
+        if not self._rate:
+            return
+        fifo = self.caps.fifo_samples
+        if isinstance(message, m.Status):
+            position = message.position
+        else:
+            position = (message.credit_position - fifo) % TURN
+        ahead = distance(position, self._position_at(now))
+        if -fifo - OLDEST * self._rate <= ahead <= fifo:
+            self.ledger.report(message, position, now)
+        elif (
+            isinstance(message, m.Pulse)
+            and message.state == State.RUNNING
+            and now > self._outdated_until
+        ):
+            self.credit_faults += 1
+
+    def _position_at(self, now: float) -> int:
+        """Return the wire position that is put out next, by the clock, modulo 2³²."""
+        assert self.clock is not None
+        ticks = max(self.clock.ticks_at(now) - self.begun, 0)
+        begin = self._start_position + self._origin
+        return (begin + math.ceil(ticks * self._rate / self.clock.tick_hz)) % TURN
 
     def _add_counts(self, underruns: int, late: int | None) -> None:
         """Add what the amplifier's counters have risen by; they begin anew after a reset."""
@@ -301,7 +342,7 @@ class Peer:
 
     # Stream
 
-    def start(self, position: int, time: float) -> m.Start:
+    def start(self, position: int, time: float, rate: float) -> m.Start:
         """Return the START that plays a position at a host time; later calls refer to it.
 
         Parameters
@@ -310,6 +351,8 @@ class Peer:
             Position that is put out first.
         time : float
             Host time at which it is put out [s].
+        rate : float
+            Sample rate [Hz].
 
         Returns
         -------
@@ -318,21 +361,19 @@ class Peer:
         """
         assert self.clock is not None
         begin = self._sent_end + SKIPPED
-        self._origin, self._sent_end = begin - position, begin
+        self._origin, self._sent_end, self._rate = begin - position, begin, rate
         self._start_position, self.begun = position, self.clock.ticks_at(time)
         self.ledger.start(begin, time)
         self._status_due = time
         return m.Start(self.host.session, begin % TURN, 0, self.begun)
 
-    def due(self, position: int, rate: float) -> float:
+    def due(self, position: int) -> float:
         """Return the host time at which a position is put out.
 
         Parameters
         ----------
         position : int
             Position of a sample.
-        rate : float
-            Sample rate [Hz].
 
         Returns
         -------
@@ -340,7 +381,7 @@ class Peer:
             Host time by the estimate of the amplifier's clock [s].
         """
         assert self.clock is not None
-        ticks = round((position - self._start_position) * self.clock.tick_hz / rate)
+        ticks = round((position - self._start_position) * self.clock.tick_hz / self._rate)
         return self.clock.host_time_at(self.begun + ticks)
 
     def unplayed(self, first: int, written: int, held: int, *, running: bool) -> int:
@@ -414,6 +455,30 @@ class Peer:
         """
         pulse = self.host.pulse
         return pulse is None or distance(end, pulse.credit_position) <= 0
+
+    def no_credit(self, end: int, now: float) -> str:
+        """Describe the credit of an amplifier that has no room for samples.
+
+        Parameters
+        ----------
+        end : int
+            Wire position after the samples.
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        str
+            Node, position of the credit, and positions that the stream and, by the clock, the
+            buffer of the amplifier have come to, one line.
+        """
+        assert self.host.pulse is not None
+        buffered = (self._position_at(now) + self.caps.fifo_samples) % TURN
+        return (
+            f"node {self.host.node} gives no credit: it says position "
+            f"{self.host.pulse.credit_position}, the stream is at {end % TURN}, and its buffer "
+            f"ends at {buffered} by its clock"
+        )
 
     def watch(self, now: float) -> None:
         """Begin to ask for STATUS each `POLL_INTERVAL`, as while the amplifier plays.

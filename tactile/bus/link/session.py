@@ -20,13 +20,13 @@ from firmware_protocol.host import BY_HOST, refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
 from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
-from tactile.bus.base import BusCounters, Wiring
+from tactile.bus.base import Wiring
 from tactile.bus.budget import Plan, check_limits
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import Goal, SessionPhase
 from tactile.bus.link.queries import RETRY
 from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
-from tactile.bus.link.stream import LinkStream
+from tactile.bus.link.stream import LinkBusCounters, LinkStream
 from tactile.bus.wire import FragmentWatch, Wire
 from tactile.errors import InputError
 
@@ -72,7 +72,7 @@ class LinkSession:
     choose : callable
         Function that makes the plan from the CAPS of the amplifiers; it is called once and may
         raise InputError.
-    counters : BusCounters
+    counters : LinkBusCounters
         Counters of the bus.
     nodes : sequence of int
         Nodes of the amplifiers in the order of the channels; all that answer, in rising order, if
@@ -117,7 +117,7 @@ class LinkSession:
         *,
         token: int,
         choose: Callable[[Sequence[m.Caps]], Plan],
-        counters: BusCounters,
+        counters: LinkBusCounters,
         nodes: Sequence[int] = (),
         rearm: bool = False,
         lead: float | None = None,
@@ -229,7 +229,7 @@ class LinkSession:
             return
         self.goal, self._quick = Goal.READY, quick
         if self.stream is not None:
-            self.stream.clear(counted=False)
+            self.stream.clear(now)
         if self.phase in (SessionPhase.ARM, SessionPhase.START, SessionPhase.RUN):
             self._enter(SessionPhase.END, now)
 
@@ -248,7 +248,7 @@ class LinkSession:
         """
         self.goal, self.refusal, self._gave_up = Goal.ESTOP, "", False
         if self.stream is not None:
-            self.stream.clear(counted=False)
+            self.stream.clear(now)
         if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
             self._enter(SessionPhase.ESTOP, now)
         return self._to_all(m.Estop(BY_HOST))
@@ -384,6 +384,8 @@ class LinkSession:
         if self.phase is SessionPhase.RUN and self.stream is not None:
             while now >= self._wire_free - HELD and (part := self.stream.take(now)):
                 self._send(part, now, wire)
+            if self.stream.no_credit:
+                self.last_fault = self.stream.no_credit
 
     def _send(self, packets: list[Packet], now: float, wire: Wire) -> None:
         """Send packets, and note when the wire will have sent them."""

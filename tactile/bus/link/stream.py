@@ -9,6 +9,7 @@ step when the link is back.
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,20 @@ LATEST = 4e-3
 HOLD = 25e-3
 """Time for which the last sample is held at the end; STOP arrives in it, and the ramp begins at
 that sample [s]."""
+
+
+@dataclass
+class LinkBusCounters(BusCounters):
+    """Counters of a bus whose amplifiers speak the protocol, in addition to those of every bus.
+
+    Attributes
+    ----------
+    credit_faults : int
+        Number of PULSEs whose credit is further from the amplifier's own position than its buffer
+        is long.
+    """
+
+    credit_faults: int = 0
 
 
 class PendingSamples(NamedTuple):
@@ -80,8 +95,8 @@ class LinkStream:
         How samples are packed.
     channels : int
         Number of channels of what is written, C.
-    counters : BusCounters
-        Counters of underruns, late blocks and dropped samples.
+    counters : LinkBusCounters
+        Counters of underruns, late blocks, dropped samples and faults of the credit.
     lead : float or None
         Lead that is kept [s]; None for one that adapts to underruns.
 
@@ -92,6 +107,9 @@ class LinkStream:
         amplifiers have room for [s].
     end : int
         Position after what was written.
+    no_credit : str
+        One line on the amplifier for want of whose credit the latest samples were dropped; empty if
+        they were not.
     """
 
     def __init__(
@@ -99,7 +117,7 @@ class LinkStream:
         peers: Sequence[Peer],
         plan: Plan,
         channels: int,
-        counters: BusCounters,
+        counters: LinkBusCounters,
         lead: float | None = None,
     ) -> None:
         first, least, most = (LEAD, LEAST_LEAD, MOST_LEAD) if lead is None else (lead, lead, lead)
@@ -126,6 +144,7 @@ class LinkStream:
         # first position that may be written.
         self._anchor, self._from = (0, 0.0), 0
         self._underruns, self._late, self._lowered = 0, 0, math.inf
+        self._credit_faults, self.no_credit = 0, ""
         self._held = 0
         """Number of positions after what was written that have something to play."""
 
@@ -157,7 +176,7 @@ class LinkStream:
         self._held = 2 * self._plan.packet_samples if self._plan.carriers else 0
         for follower in self._followers:
             follower.begin(position)
-        return [peer.start(position, time) for peer in self._peers]
+        return [peer.start(position, time, self._plan.sample_rate) for peer in self._peers]
 
     def due(self, position: int) -> float:
         """Return the host time at which a position is put out.
@@ -173,10 +192,9 @@ class LinkStream:
             Host time by the clock of the first amplifier, or by that of the host while the
             amplifiers do not play or cannot be reached [s].
         """
-        rate = self._plan.sample_rate
         if self._playing and not self._peers[0].reset_evidence:
-            return self._peers[0].due(position, rate)
-        return self._anchor[1] + (position - self._anchor[0]) / rate
+            return self._peers[0].due(position)
+        return self._anchor[1] + (position - self._anchor[0]) / self._plan.sample_rate
 
     def position_at(self, time: float) -> int:
         """Return the first position that is due at a host time or later.
@@ -236,12 +254,17 @@ class LinkStream:
         return sum(peer.underruns for peer in self._peers)
 
     @property
+    def credit_faults(self) -> int:
+        """Number of PULSEs of all amplifiers with a credit that cannot be right."""
+        return sum(peer.credit_faults for peer in self._peers)
+
+    @property
     def late(self) -> int:
         """Number of samples that were too late for their amplifiers, as far as reported."""
         return sum(peer.late for peer in self._peers)
 
     def control(self, now: float, *, running: bool) -> None:
-        """Count new underruns and late samples, and adapt the lead.
+        """Count new underruns, late samples and faults of the credit, and adapt the lead.
 
         Parameters
         ----------
@@ -256,6 +279,8 @@ class LinkStream:
         self._counters.underruns += fresh
         late, self._late = self.late - self._late, self.late
         self._counters.late_blocks -= -late // self._plan.packet_samples
+        self._counters.credit_faults += self.credit_faults - self._credit_faults
+        self._credit_faults = self.credit_faults
         if running and fresh:
             self.lead = min(self.lead * RAISE, self._most)
         elif running and now > self._lowered:
@@ -373,8 +398,7 @@ class LinkStream:
         """Return the lead of the first amplifier over another one at a position [samples]."""
         if not self._playing or peer.reset_evidence or self._peers[0].reset_evidence:
             return 0.0
-        rate = self._plan.sample_rate
-        return (peer.due(position, rate) - self._peers[0].due(position, rate)) * rate
+        return (peer.due(position) - self._peers[0].due(position)) * self._plan.sample_rate
 
     def add_frame(self, position: int, volts: Complex, carriers: Floats) -> None:
         """Pack a frame, which then waits to be sent.
@@ -421,20 +445,22 @@ class LinkStream:
         """Return messages to an amplifier as packets that want no answer."""
         return [peer.host.packet(message) for message in messages]
 
-    def clear(self, *, counted: bool = True) -> None:
+    def clear(self, now: float = math.inf) -> None:
         """Drop what waits to be sent.
 
         Parameters
         ----------
-        counted : bool
-            Whether it counts as dropped, which it does not if the caller asked for that, as in a
-            stop.
+        now : float
+            Host time of a stop, before which samples were due that count as dropped; by default all
+            count [s].
         """
         self._flush()
-        for part in self._parts if counted else ():
-            self._drop(part)
+        for part in self._parts:
+            if self.due(part.end) <= now:
+                self._drop(part)
         self._parts.clear()
         self._last = self._tail = None
+        self.no_credit = ""
 
     def _drop(self, part: PendingSamples) -> None:
         """Count samples that are not sent: a frame as one, and repetitions of `hold` as none."""
@@ -445,7 +471,7 @@ class LinkStream:
     def deadline(self) -> float:
         """Host time at which `take` has something to send, -inf for now and inf for never [s]."""
         if self._parts:
-            return math.inf if self._blocked else -math.inf
+            return self.due(self._parts[0].end) if self._blocked else -math.inf
         partial = self.due(self._partial_start) if len(self._partial) else math.inf
         tail = math.inf if self._tail is None else self.due(self._tail - HALF)
         return min(partial, tail) - LATEST
@@ -453,7 +479,7 @@ class LinkStream:
     def take(self, now: float) -> list[Packet]:
         """Return the next packets, if the amplifiers have room for them.
 
-        Samples whose time has passed are dropped and counted.
+        Samples whose time has passed are dropped and counted, for want of credit or not.
 
         Parameters
         ----------
@@ -472,12 +498,15 @@ class LinkStream:
             self._flush_followers()
         while self._parts:
             part = self._parts[0]
-            self._blocked = not all(peer.has_credit(end) for peer, end, _ in part.packets)
+            full = next(((p, end) for p, end, _ in part.packets if not p.has_credit(end)), None)
+            passed = self.due(part.end) <= now
+            self._blocked = full is not None and not passed
             if self._blocked:
                 return []
             self._parts.popleft()
             self._counters.late_blocks += self.due(part.start) < now
-            if self.due(part.end) > now:
+            self.no_credit = "" if full is None else full[0].no_credit(full[1], now)
+            if not passed:
                 return [packet for _, _, packets in part.packets for packet in packets]
             self._drop(part)
         return []

@@ -159,7 +159,7 @@ def test_the_command_finds_no_fault(command: Command, four: Path) -> None:
     told = json.loads(said.out)
     assert said.code == 0
     assert set(told) == set(CheckReport.__dataclass_fields__)
-    assert told["amplifiers"][0]["formats"] == ["pcm16", "pcm12", "bfp8", "spectrum8"]
+    assert told["amplifiers"][0]["formats"] == ["pcm16", "pcm12", "bfp8", "spectrum"]
 
 
 def test_the_command_says_2_for_what_cannot_be(command: Command, four: Path) -> None:

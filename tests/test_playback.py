@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from playback_rig import FADE, RATE, SINGLE, TRAJECTORIES, Played, played, stroke
 
+from firmware_protocol.messages import Fault
 from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
+from tactile.errors import BusError
 from tactile.playback.trajectory_playback import PlayedBlock, play
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer, render
@@ -208,3 +210,17 @@ def test_a_bus_that_waits_is_not_waited_for_besides(display: Display, oak: Textu
             clock=clock,
         )  # fmt: skip
     assert clock.slept == 0
+
+
+def test_a_stroke_that_a_fault_of_the_hardware_ends_says_so_and_not_e_stopped(
+    display: Display, oak: Texture
+) -> None:
+    def overheat(block: PlayedBlock) -> None:
+        if block.time[0] > 0.1:
+            (amplifier,) = bus.model.amplifiers  # type: ignore[attr-defined]
+            amplifier.fault(Fault.OVERTEMPERATURE, bus.model.tick(0))  # type: ignore[attr-defined]
+
+    with open_bus("mock:?link=serial&format=pcm16", display, sample_rate=RATE) as bus:
+        renderer = Renderer(display, oak, sample_rate=RATE)
+        with pytest.raises(BusError, match=r"^node 1 reports a fault: "):
+            play(display, renderer, stroke(0.4), bus, sample_rate=RATE, listen=overheat)

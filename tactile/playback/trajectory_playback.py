@@ -192,7 +192,7 @@ def play_frames(
 def _check_estop(bus: Bus) -> None:
     """Raise BusError if an e-stop would drop the rest of what is to be played."""
     if bus.state == "estopped":
-        raise BusError(f"e-stopped while playing: {bus.status.detail or 'clear it to play again'}")
+        raise BusError(bus.status.detail or "e-stopped while playing: clear it to play again")
 
 
 def _blocks(

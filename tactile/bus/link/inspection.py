@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import messages as m
-from firmware_protocol.messages import FULL_SCALE_CODE, Feature, Parameter, SampleFormat
+from firmware_protocol.messages import FULL_SCALE_CODE, Feature, Parameter
 from firmware_protocol.player import distance
 from tactile.arrays import Floats
 from tactile.bus.base import Bus
 from tactile.bus.link.link_bus import LinkBus
 from tactile.bus.link.peer import Peer
+from tactile.bus.options import FORMATS
 
 TRIES = 5
 """Maximum number of requests to begin or to end measuring; a busy computer may miss the answers to
@@ -40,7 +41,7 @@ class AmplifierFacts:
     first_channel, channels : int
         First of its drive lines, and their number.
     formats : tuple of str
-        Names of the sample formats that it takes.
+        Names of the sample formats that it takes, as in a URL.
     carriers : int
         Maximum number of carriers of a spectrum frame.
     rates : tuple of int
@@ -178,7 +179,7 @@ def _facts(peer: Peer, first: int) -> AmplifierFacts:
         firmware=caps.firmware,
         first_channel=first,
         channels=caps.channels,
-        formats=tuple(f.name.lower() for f in SampleFormat if caps.formats >> f & 1),
+        formats=tuple(name for name, bit in FORMATS.items() if caps.formats >> bit & 1),
         carriers=caps.carriers,
         rates=(caps.rate_min_hz, caps.rate_max_hz),
         full_scale=caps.full_scale_uv * 1e-6,
@@ -209,6 +210,11 @@ def identify(bus: Bus, node: int, seconds: int) -> bool:
     -------
     bool
         Whether the amplifier acknowledged.
+
+    Raises
+    ------
+    InputError
+        If no amplifier has that node.
     """
     return isinstance(bus, LinkBus) and isinstance(bus.request(m.Identify(seconds), node), m.Ack)
 
@@ -247,8 +253,7 @@ def measuring(bus: Bus, interval: float) -> Iterator[set[int]]:
 def _measure(bus: Bus, node: int, milliseconds: int) -> bool:
     """Set the interval of measurements, 0 for none; return whether it was acknowledged."""
     assert isinstance(bus, LinkBus)
-    session = next(peer.host.session for peer in bus.peers if peer.host.node == node)
-    setting = m.Set(session, Parameter.SENSE_MS, milliseconds)
+    setting = m.Set(bus.peer(node).host.session, Parameter.SENSE_MS, milliseconds)
     answers = (bus.request(setting, node) for _ in range(TRIES))
     return isinstance(next((a for a in answers if a is not None), None), m.Ack)
 

@@ -298,6 +298,7 @@ class LinkBus(Bus):
                 reason = self._failure or self._session.lost(now)
                 if self._session.phase is not phase or self._session.tripped:
                     self._on_phase_change()
+            self._session.notes.write()
             if reason:
                 raise WireError(reason)
         except OSError as error:
@@ -496,6 +497,30 @@ class LinkBus(Bus):
         """Amplifiers in the order of channels."""
         return self._session.peers
 
+    def peer(self, node: int) -> Peer:
+        """Return an amplifier.
+
+        Parameters
+        ----------
+        node : int
+            Its address.
+
+        Returns
+        -------
+        Peer
+            The one of `peers` with that address.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        for peer in self.peers:
+            if peer.host.node == node:
+                return peer
+        nodes = ", ".join(str(peer.host.node) for peer in self.peers)
+        raise InputError(f"node {node}: the amplifiers of this bus have {nodes}")
+
     def request(self, message: Message, node: int) -> Message | None:
         """Make a request (GET, SET, IDENTIFY) of an amplifier, and wait for its answer.
 
@@ -513,9 +538,14 @@ class LinkBus(Bus):
         -------
         Message or None
             Answer, which may be a refusal; None if none came.
+
+        Raises
+        ------
+        InputError
+            If no amplifier has that node.
         """
         with self._changed:
-            queries = next(peer.queries for peer in self.peers if peer.host.node == node)
+            queries = self.peer(node).queries
             queries.request(message)
             self._pump()
         self._wait(lambda: queries.answer is not None, ANSWERING)

@@ -7,6 +7,7 @@ are reported by `trouble` and, if they end the goal, by `refusal`. Nothing raise
 wire, in `LinkSession.poll`.
 """
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,6 +23,7 @@ from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
 from tactile.bus.base import Wiring
 from tactile.bus.budget import Plan, check_limits
+from tactile.bus.link.notes import LinkNotes
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import Goal, SessionPhase
 from tactile.bus.link.queries import RETRY
@@ -107,6 +109,8 @@ class LinkSession:
         Error of a display that asks for more than the amplifiers or the link can give.
     fragments : FragmentWatch
         Warning about fragments that are lost while the session goes on.
+    notes : LinkNotes
+        Lines for the log, which the owner writes.
     tripped : bool
         Whether an amplifier is in ESTOP or FAULT although this host did not ask for it.
     """
@@ -128,7 +132,7 @@ class LinkSession:
         self.stream: LinkStream | None = None
         self.phase, self.goal = SessionPhase.DOWN, Goal.READY
         self.trouble = self.refusal = self.last_fault = ""
-        self.fragments = FragmentWatch()
+        self.fragments, self.notes = FragmentWatch(), LinkNotes()
         self.error: InputError | None = None
         self.tripped = False
         self.carriers: Floats = np.zeros(0)
@@ -346,14 +350,31 @@ class LinkSession:
                 )
             elif packet.node in known:
                 known[packet.node].receive(packet, now)
+                if packet.type == m.Log.TYPE and (log := m.Log.unpack(packet.payload)) is not None:
+                    self.notes.add_log(packet.node, log, now)
+            elif self.peers and packet.type in (m.Pulse.TYPE, m.Status.TYPE):
+                self.notes.add_stranger(packet.node, known, now)
             elif self.phase is SessionPhase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
                 caps = m.Caps.unpack(packet.payload)
                 if caps is not None:
                     self._caps[packet.node] = caps
         if self.stream is not None:
-            self.stream.control(now, running=self.phase is SessionPhase.RUN)
+            self._control(self.stream, now)
         reports = [peer.host.status for peer in self.peers if peer.host.status is not None]
         self.fragments.update(dropped + sum(status.fragments_dropped for status in reports), now)
+
+    def _control(self, stream: LinkStream, now: float) -> None:
+        """Let the stream count what was reported, and note the first credit that is wrong."""
+        before = self._counters.credit_faults
+        stream.control(now, running=self.phase is SessionPhase.RUN)
+        if self._counters.credit_faults and not before:
+            peer = max(self.peers, key=lambda peer: peer.credit_faults)
+            self.notes.add(
+                logging.WARNING,
+                f"node {peer.host.node}: the credit of its PULSE is more than fifo_samples "
+                f"({peer.caps.fifo_samples}) away (SPEC.md, 8.1); correct its firmware",
+                now,
+            )
 
     def poll(self, now: float, wire: Wire) -> None:
         """Move on to the next phases, and send what is to be sent now.

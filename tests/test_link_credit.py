@@ -131,7 +131,7 @@ def test_credit_that_comes_back_is_used_and_the_fault_stays_named(
 
 
 def test_a_credit_too_far_ahead_is_counted_and_plays(linked: Linked, distort: Distort) -> None:
-    """The lead bounds what is sent; only the last report of the stroke is missing in the share."""
+    """The lead bounds what is sent, and STATUS tells the positions that PULSE does not."""
     distort(100_000)
     rig = linked("serial", "")
     rig.begin(1.0)
@@ -139,6 +139,7 @@ def test_a_credit_too_far_ahead_is_counted_and_plays(linked: Linked, distort: Di
     assert rig.bus.counters.credit_faults > 50
     rig.bus.stop()
     assert rig.bus.counters.faults().keys() == {"credit_faults"}
+    assert rig.bus.unplayed == 0
     assert "future_samples" not in rig.faults()
     assert rig.misplaced()[1] > 0.9 * RATE
 

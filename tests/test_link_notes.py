@@ -146,8 +146,8 @@ def test_a_credit_that_cannot_be_is_told_once(
     assert told(caplog) == [
         (
             logging.WARNING,
-            "node 1: the credit of its PULSE is more than fifo_samples (1025) away "
-            "(SPEC.md, 8.1); correct its firmware",
+            "node 1: the credit_position of its PULSE is more than fifo_samples (1025) from that "
+            "by its clock (SPEC.md, 8.1); correct its firmware",
         )
     ]
 

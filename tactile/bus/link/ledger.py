@@ -66,6 +66,17 @@ class OutputLedger:
         self._lost += rise(count, self._lost_seen)
         self._lost_seen = count
 
+    def report_running(self, now: float) -> None:
+        """Take a report of RUNNING whose position is of no use.
+
+        Parameters
+        ----------
+        now : float
+            Host time of its reception [s].
+        """
+        if self.running:
+            self._reported = max(now, self._reported)
+
     def report(self, message: m.Pulse | m.Status, position: int, now: float) -> None:
         """Take a report.
 

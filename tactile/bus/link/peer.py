@@ -228,6 +228,7 @@ class Peer:
             and now > self._outdated_until
         ):
             self.credit_faults += 1
+            self.ledger.report_running(now)
 
     def _position_at(self, now: float) -> int:
         """Return the wire position that is put out next, by the clock, modulo 2³²."""

@@ -371,8 +371,9 @@ class LinkSession:
             peer = max(self.peers, key=lambda peer: peer.credit_faults)
             self.notes.add(
                 logging.WARNING,
-                f"node {peer.host.node}: the credit of its PULSE is more than fifo_samples "
-                f"({peer.caps.fifo_samples}) away (SPEC.md, 8.1); correct its firmware",
+                f"node {peer.host.node}: the credit_position of its PULSE is more than "
+                f"fifo_samples ({peer.caps.fifo_samples}) from that by its clock (SPEC.md, 8.1); "
+                "correct its firmware",
                 now,
             )
 

@@ -37,8 +37,9 @@ COUNT = 15
 CONSTANTS = 3
 """Number of faults of which one at most is another constant."""
 LINKS = (
-    "test_link_edges test_link_estop test_link_states test_link_faults test_mock_bus "
-    "test_bus_follower test_bus_spectrum test_bus_estops test_bus_bad_links contract"
+    "test_link_edges test_link_credit test_link_capabilities test_link_notes test_link_estop "
+    "test_link_states test_link_faults test_mock_bus test_bus_follower test_bus_spectrum "
+    "test_bus_estops test_bus_bad_links contract"
 )
 HOST = (
     "test_server_supervision test_estop_model test_server_owners test_server_reloading "

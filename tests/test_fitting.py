@@ -10,7 +10,7 @@ from slides import Surface, slide
 from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import fitting, judging
-from tactile.texture.descriptor import About
+from tactile.texture.descriptor import About, Laws, Reference
 from tactile.texture.fitting import Fit, centers_at, describe, measure_slides
 from tactile.texture.friction_fit import fit_friction
 from tactile.texture.lines import find_gratings
@@ -238,7 +238,8 @@ def test_friction_comes_from_two_forces() -> None:
         speed=speed, normal_force=normal,
         tangential_force=mu * normal * (1 + 0.02 * rng.standard_normal(len(t))),
     )  # fmt: skip
-    friction = fit_friction([recorded], 0.5)
+    laws = Laws(force_range_n=(0.15, 1.0))
+    friction = fit_friction([recorded], Reference(speed_mm_s=40.0, normal_force_n=0.5), laws)
     assert friction.kinetic_coefficient == pytest.approx(0.4, abs=0.02)
     assert friction.static_coefficient == pytest.approx(0.9, abs=0.04)
     assert friction.stribeck_speed_mm_s == pytest.approx(12, abs=1)

@@ -5,6 +5,7 @@ import numpy as np
 from tactile.arrays import Floats, Singles
 from tactile.texture.descriptor import Descriptor, Events
 from tactile.texture.event_power import FWHM
+from tactile.texture.power_laws import force_factor, speed_factor
 from tactile.texture.surface import Surface
 
 CONTACT_FORCE = 0.05
@@ -15,38 +16,6 @@ PIXELS = 1 << SHIFT
 """Number of pixels along one side of an event field: pixels of 12.5 µm on a tile of 25.6 mm."""
 LAST = PIXELS - 1
 """Index of the last pixel, and mask that wraps an index around the tile."""
-
-
-def held_power_law(
-    x: Floats, reference: float, bounds: tuple[float, float], exponent: float
-) -> Floats:
-    """Compute (x/reference)^exponent, held smoothly constant outside its bounds.
-
-    x is first bent to stay within the bounds: x⁸ becomes 1/(1/(x⁸ + low⁸) + 1/high⁸), which is 0.75
-    dB off the law exactly at a bound. The law is 1 at the reference, even, and smooth at 0, so that
-    it has no jump at a stop or a reversal.
-
-    Parameters
-    ----------
-    x : (...) array of float
-        Argument, such as speed or force, in the unit of ``reference``.
-    reference : float
-        Argument at which the law is 1.
-    bounds : tuple of 2 floats
-        Lower and upper end of the range in which the law holds, in the unit of ``reference``.
-    exponent : float
-        Exponent of the power law.
-
-    Returns
-    -------
-    (...) array of float
-        Factors.
-    """
-
-    def bent(value: Floats) -> Floats:
-        return np.asarray(1 / (1 / (value**8 + bounds[0] ** 8) + bounds[1] ** -8))
-
-    return np.asarray((bent(x) / bent(np.asarray(reference))) ** (exponent / 8))
 
 
 class Law:
@@ -65,16 +34,11 @@ class Law:
     def __init__(self, descriptor: Descriptor) -> None:
         laws, reference = descriptor.laws, descriptor.reference
         speed = _places(laws.speed_range_mm_s)
-        factor = held_power_law(
-            speed, reference.speed_mm_s, laws.speed_range_mm_s, laws.speed_exponent
-        )
-        self._speed = (speed * 1e-3) ** 2, factor
+        self._speed = (speed * 1e-3) ** 2, speed_factor(laws, reference, speed * 1e-3)
         landing = np.linspace(0, CONTACT_FORCE, 65)
         force = np.union1d(landing, _places(laws.force_range_n))
         touch = np.minimum(force / CONTACT_FORCE, 1)
-        by_force = held_power_law(
-            force, reference.normal_force_n, laws.force_range_n, laws.force_exponent
-        )
+        by_force = force_factor(laws, reference, force)
         self._force = force, touch * touch * (3 - 2 * touch) * by_force
 
     def __call__(self, speed_squared: Floats, normal_force: Floats) -> Floats:

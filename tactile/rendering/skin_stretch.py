@@ -61,6 +61,7 @@ from tactile.display.display import Display
 from tactile.rendering.contact import LARGEST_SPEED
 from tactile.rendering.stroke import Stroke
 from tactile.texture.descriptor import Descriptor
+from tactile.texture.power_laws import held_power_law
 
 Pair = tuple[float, float]
 """Vector, x and y."""
@@ -131,13 +132,9 @@ class FrictionLaw:
         self.weakening = max(friction.static_coefficient, LEAST) - self.kinetic
         self.speed = friction.stribeck_speed_mm_s * 1e-3
         self.sticking = friction.stick_slip
-        self._exponent = friction.force_exponent / 8
         low, high = laws.force_range_n
-        self._low, self._high = max(low, LEAST) ** 8, high**-8
-        self._reference = 1.0
-        self._reference = self.force(descriptor.reference.normal_force_n) / (
-            descriptor.reference.normal_force_n
-        )
+        self._law = descriptor.reference.normal_force_n, (max(low, LEAST), high)
+        self._exponent = friction.force_exponent
 
     def over_kinetic(self, speed: float) -> float:
         """Compute the excess of the coefficient over the kinetic one, μ(v) − μk.
@@ -158,8 +155,6 @@ class FrictionLaw:
     def force(self, normal_force: float) -> float:
         """Compute φ(N) N, the friction force at a coefficient of 1.
 
-        φ saturates beyond its range of forces as `held_power_law` does.
-
         Parameters
         ----------
         normal_force : float
@@ -170,8 +165,7 @@ class FrictionLaw:
         float
             Friction force [N].
         """
-        bent = 1 / (1 / (normal_force**8 + self._low) + self._high)
-        return float(bent**self._exponent / self._reference * normal_force)
+        return held_power_law(normal_force, *self._law, self._exponent) * normal_force
 
 
 class Bristles:

@@ -518,7 +518,7 @@ def texture_strength(
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> strength = tactile.texture_strength(display, texture)
     >>> strength.felt_by, round(strength.channels["P"]), strength.limited_share
-    (('P',), 22, 0.0)
+    (('P',), 19, 0.0)
     """
     stroke = stroke or SteadyStroke()
     lines, able = stroke.lines(texture), reach(display, stroke)
@@ -588,9 +588,9 @@ def automatic_gain(
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> largest = tactile.automatic_gain(display, texture)
     >>> largest.limit, round(largest.value, 1)
-    ('voltage', 3.3)
+    ('voltage', 4.4)
     >>> round(tactile.automatic_gain(display, texture, level=20.0).value, 1)
-    0.8
+    1.1
     """
     stroke = stroke or SteadyStroke()
     delivered = reach(display, stroke).delivered(stroke.lines(texture))

@@ -29,8 +29,9 @@ from tactile.texture.descriptor import (
     Reference,
     Stochastic,
 )
-from tactile.texture.friction_fit import fit_friction
+from tactile.texture.friction_fit import PRESSED, fit_friction
 from tactile.texture.lines import HarmonicLines, find_gratings, without
+from tactile.texture.power_laws import level_shift, speed_range
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
 from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
@@ -379,8 +380,11 @@ def describe(
     mean = _over_common_bands(measured.level)
     exponent, error = exponents(measured.speed, measured.force, mean)
     pressed = float(np.exp(np.log(measured.force).mean()))
-    law = 20 * exponent[0] * np.log10(measured.speed / measured.reference)
-    law += 20 * exponent[1] * np.log10(measured.force / pressed)
+    reference = Reference(
+        speed_mm_s=_digits(measured.reference * 1e3), normal_force_n=_digits(pressed)
+    )
+    laws = _laws(measured, exponent)
+    law = level_shift(laws, reference, measured.speed, measured.force)
     bands, spread = _bands(measured.level - law[:, None], measured.center)
     calibrated = measured.slides[0].recorded.calibrated
     anchor = 0.0 if calibrated else _anchor(bands, measured.center)
@@ -391,13 +395,11 @@ def describe(
     stochastic, loss = _with_direction(stochastic)
     descriptor = Descriptor(
         texture=about,
-        reference=Reference(
-            speed_mm_s=_digits(measured.reference * 1e3), normal_force_n=_digits(pressed)
-        ),
+        reference=reference,
         stochastic=stochastic,
         periodic=tuple(_periodic(g, gain) for g in measured.gratings),
-        laws=_laws(measured.speed, measured.force, exponent),
-        friction=_friction(measured.slides, pressed),
+        laws=laws,
+        friction=_friction(measured.slides, reference, laws),
     )
     return Fit(
         descriptor=descriptor,
@@ -498,26 +500,34 @@ def _periodic(grating: HarmonicLines, gain: Floats) -> Periodic:
     )
 
 
-def _laws(speed: Floats, force: Floats, exponent: Floats) -> Laws:
-    """Return laws that hold over the range that was recorded and 15 % beyond."""
-    low, high = float(speed.min() * 1e3) / SPEEDS_APART, float(speed.max() * 1e3) * SPEEDS_APART
-    light, firm = float(force.min()) / SPEEDS_APART, float(force.max()) * SPEEDS_APART
+def _laws(measured: RecordingMeasures, exponent: Floats) -> Laws:
+    """Return laws of speed, extrapolated, and of force, held 15 % beyond what was recorded."""
+    slow, fast = speed_range(float(measured.speed.min()), float(measured.speed.max()))
+    forces = np.concatenate([_force_span(slide) for slide in measured.slides])
+    light, firm = float(forces.min()) / SPEEDS_APART, float(forces.max()) * SPEEDS_APART
     return Laws(
         speed_exponent=round(float(exponent[0]), 2),
-        speed_range_mm_s=(round(low, 1), round(high, 1)),
+        speed_range_mm_s=(_digits(slow, 3), _digits(fast, 3)),
         force_exponent=round(float(exponent[1]), 2),
         force_range_n=(round(light, 3), round(firm, 3)),
     )
 
 
-def _friction(slides: list[Slide], pressed: float) -> Friction | None:
+def _force_span(slide: Slide) -> Floats:
+    """Return the mean force of a recording, and what 90 % of its time lie between (3,) [N]."""
+    force = slide.recorded.normal_force
+    ends = np.zeros(0) if force is None else np.quantile(force[force > PRESSED], [0.05, 0.95])
+    return np.append(ends, slide.force)
+
+
+def _friction(slides: list[Slide], reference: Reference, laws: Laws) -> Friction | None:
     """Return the friction of the recordings that have both forces, or None if there are none."""
     with_forces = [
         s.recorded
         for s in slides
         if s.recorded.tangential_force is not None and s.recorded.normal_force is not None
     ]
-    return fit_friction(with_forces, pressed) if with_forces else None
+    return fit_friction(with_forces, reference, laws) if with_forces else None
 
 
 def _notes(measured: RecordingMeasures) -> Iterator[str]:

@@ -1,8 +1,9 @@
 """Friction from a tangential and a normal force that were recorded while a finger slides.
 
 The coefficient is the ratio of the two forces, low-passed to its quasi-static part. It follows the
-Stribeck law µ = µk + (µs − µk) exp(−(v/vs)²) of the speed and a power law of the normal force. What
-a recording does not tell, because it has one speed or one force, keeps the default of a descriptor.
+Stribeck law µ = µk + (µs − µk) exp(−(v/vs)²) of the speed and a power law of the normal force, held
+outside the range of forces as it is in rendering. What a recording does not tell, because it has
+one speed or one force, keeps the default of a descriptor.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,8 @@ from scipy.optimize import least_squares
 
 from tactile.arrays import Floats
 from tactile.errors import InputError
-from tactile.texture.descriptor import Friction
+from tactile.texture.descriptor import Friction, Laws, Reference
+from tactile.texture.power_laws import held_power_law
 from tactile.texture.recorded_slide import Recorded
 
 QUASI_STATIC = 0.05
@@ -31,15 +33,17 @@ EVEN, STICKING = 0.10, 0.25
 stick-slip ("Stick-slip phenomena in the friction of human skin"; textures/README.md)."""
 
 
-def fit_friction(recordings: Sequence[Recorded], reference_force: float) -> Friction:
+def fit_friction(recordings: Sequence[Recorded], reference: Reference, laws: Laws) -> Friction:
     """Fit friction to recordings that hold both forces.
 
     Parameters
     ----------
     recordings : sequence of Recorded
         Recordings with ``tangential_force`` and ``normal_force``.
-    reference_force : float
-        Normal force at which the coefficients hold [N].
+    reference : Reference
+        Stroke whose normal force is that at which the coefficients hold.
+    laws : Laws
+        Laws of the texture, whose range of forces is that of the friction as well.
 
     Returns
     -------
@@ -57,7 +61,8 @@ def fit_friction(recordings: Sequence[Recorded], reference_force: float) -> Fric
     exponent = USUAL.force_exponent
     if np.quantile(normal, 0.9) > FORCES * np.quantile(normal, 0.1):
         exponent = float(np.polyfit(np.log(normal), np.log(ratio), 1)[0])
-    level = ratio / (normal / reference_force) ** exponent
+    bounds = laws.force_range_n
+    level = ratio / held_power_law(normal, reference.normal_force_n, bounds, exponent)
     static, kinetic, stribeck = _stribeck(speed, level)
     moving = speed > 0.5 * np.quantile(speed, 0.9)
     model = kinetic + (static - kinetic) * np.exp(-((speed / stribeck) ** 2))

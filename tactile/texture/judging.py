@@ -17,6 +17,7 @@ from tactile.texture import measures
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import About, Stochastic
 from tactile.texture.fitting import Fit, RecordingMeasures, describe, measure_slides
+from tactile.texture.power_laws import level_shift
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import INTEGRATIONS
 from tactile.texture.surface import Partials, envelope, stochastic_waves
@@ -209,7 +210,8 @@ def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) ->
     """Fit one part of the recordings and compare with another, each at its own speed and force.
 
     Bands are compared as the mean level over recordings, brought to the reference speed and force
-    by the laws that were fitted to the first part.
+    by the laws that were fitted to the first part. The renderer applies the same laws, so that the
+    error is that of strokes rendered at the speeds and forces of the second part.
 
     Parameters
     ----------
@@ -235,9 +237,8 @@ def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) ->
     assert stochastic is not None
 
     def at_reference(part: RecordingMeasures) -> Floats:
-        law = laws.speed_exponent * np.log10(part.speed / seen.reference)
-        law += laws.force_exponent * np.log10(part.force / fit.descriptor.reference.normal_force_n)
-        return np.asarray((part.level - 20 * law[:, None]).mean(axis=0))
+        law = level_shift(laws, fit.descriptor.reference, part.speed, part.force)
+        return np.asarray((part.level - law[:, None]).mean(axis=0))
 
     seen_level, held_out = at_reference(seen), at_reference(unseen)
     anchor = np.nanmean(np.asarray(stochastic.level_db) - seen_level)

@@ -34,6 +34,7 @@ from tactile.texture.descriptor import (
     Stochastic,
 )
 from tactile.texture.formats import reading
+from tactile.texture.power_laws import speed_range
 
 REFERENCE_SPEED, REFERENCE_FORCE = 0.1, 1.0
 """Default speed [m/s] and normal force [N] of a texture: in the middle of what was recorded
@@ -436,7 +437,7 @@ def _laws(model: ModelSet, speed: float, force: float) -> Laws:
     stronger = power(speed, strong) / power(speed, weak)
     return Laws(
         speed_exponent=_exponent(faster, fast / slow),
-        speed_range_mm_s=(slow * 1e3, fast * 1e3),
+        speed_range_mm_s=speed_range(slow, fast),
         force_exponent=_exponent(stronger, strong / weak),
         force_range_n=(weak, strong),
     )

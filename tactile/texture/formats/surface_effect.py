@@ -22,6 +22,7 @@ from tactile.texture.formats.document import (
     ReferenceDevice,
 )
 from tactile.texture.formats.synthesis import PLAIN, points, resolved, without_control
+from tactile.texture.power_laws import speed_factor
 from tactile.texture.surface import JITTER_LINES, Partials, Texture, stochastic_waves
 
 MODALITY = "Vibrotactile Texture"
@@ -74,7 +75,7 @@ def effect_of(texture: Descriptor, speed: float) -> tuple[Effect, list[str]]:
     hertz, amplitude, phase, share = _lines(_partials(texture), speed)
     if not len(hertz):
         raise InputError(f"{texture.texture.id}: nothing sounds at {speed * 1e3:g} mm/s")
-    amplitude = amplitude * _speed_law(texture, speed)
+    amplitude = amplitude * speed_factor(texture.laws, texture.reference, speed)
     time = np.arange(8000) / 8000
     reach = np.abs(np.sin(2 * np.pi * np.outer(time, hertz) + phase) @ amplitude).max()
     keyword = KEYWORDS.get(texture.texture.category)
@@ -133,13 +134,6 @@ def _lines(partials: Partials, speed: float) -> tuple[Floats, Floats, Floats, fl
     share = 1 - power.sum() / max(float(np.sum(partials.amplitude**2)), 1e-30)
     turned = (strongest[hertz] + np.pi) % (2 * np.pi) - np.pi
     return hertz.astype(np.float64), np.sqrt(power[hertz]), turned, float(share)
-
-
-def _speed_law(texture: Descriptor, speed: float) -> float:
-    """Return the factor of the amplitude at a speed."""
-    low, high = texture.laws.speed_range_mm_s
-    v, v0 = (min(max(s, low), high) for s in (speed * 1e3, texture.reference.speed_mm_s))
-    return float((v / v0) ** texture.laws.speed_exponent)
 
 
 def _losses(texture: Descriptor, speed: float, reach: float, share: float) -> list[str]:

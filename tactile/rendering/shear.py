@@ -10,9 +10,7 @@ from tactile.texture.surface import Surface
 
 CONTACT_FORCE = 0.05
 """Normal force below which the finger is leaving and shear falls, to 0 at 0 N (assumed) [N]."""
-SHIFT = 11
-"""Binary logarithm of `PIXELS`."""
-PIXELS = 1 << SHIFT
+PIXELS = 1 << 11
 """Number of pixels along one side of an event field: pixels of 12.5 µm on a tile of 25.6 mm."""
 LAST = PIXELS - 1
 """Index of the last pixel, and mask that wraps an index around the tile."""
@@ -81,7 +79,9 @@ class EventField:
             surface.event_place / pitch, surface.event_peak, surface.event_kind, strict=True
         ):
             _draw(field, place, peak, kinds[kind], pitch)
-        self._flat = field.ravel()
+        # The first row and column once more behind the last: a pixel's neighbors need no wrapping.
+        flat = np.pad(field, (0, 1), mode="wrap").ravel()
+        self._corners = [flat[k:] for k in (0, 1, PIXELS + 1, PIXELS + 2)]
 
     def at(self, place: Floats) -> Singles:
         """Return the displacement at each contactor.
@@ -100,15 +100,15 @@ class EventField:
         whole = np.floor(pixel)
         x, y = (pixel - whole).astype(np.float32)[..., None]
         finger_row, finger_column = whole.astype(np.int64)[..., None]
-        row = (finger_row + self._rows) & LAST
-        column = (finger_column + self._columns) & LAST
-        after, below = (column + 1) & LAST, ((row + 1) & LAST) << SHIFT
-        row <<= SHIFT
-        read = self._flat.take
-        shear = read(row + column) * ((1 - x) * (1 - y))
-        shear += read(row + after) * ((1 - x) * y)
-        shear += read(below + column) * (x * (1 - y))
-        shear += read(below + after) * (x * y)
+        index = (finger_row + self._rows) & LAST
+        index *= PIXELS + 1
+        index += (finger_column + self._columns) & LAST
+        weights = (1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y
+        shear, part = np.zeros((2, *index.shape), np.float32)
+        for corner, weight in zip(self._corners, weights, strict=True):
+            corner.take(index, out=part, mode="clip")
+            part *= weight
+            shear += part
         return np.asarray(shear)
 
 

@@ -81,11 +81,32 @@ def test_the_report_tells_a_person_the_same(command: Command) -> None:
     result = command("play", "wood-oak", *SHORT, "--record", "oak.npz")
     assert (result.code, result.err) == (0, "")
     for part in (
-        "reference-24 at sim:", "0.100 s, 800 samples", "µm rms", "peak of 100 V",
+        "reference-24 at sim:", "0.100 s, 800 samples", "peak of 100 V",
         "0 samples limited", "dB signal-to-error", "mA peak per contactor", "oak.npz",
     ):  # fmt: skip
         assert part in result.out
     assert "faults" not in result.out
+    assert "not measured: without its first 5 mm and the ramps, less than 0.05 s" in result.out
+
+
+def test_the_report_names_vibration_drag_peak_and_whether_it_is_felt(command: Command) -> None:
+    """The lines say what the figures of the JSON say; the drag of oak is no vibration."""
+    play = ["play", "wood-oak", "--seconds", 0.5]
+    lines = dict(re.split(r"  +", line.strip(), maxsplit=1)
+                 for line in command(*play).out.splitlines()[2:])  # fmt: skip
+    s = command(*play, "--json").json
+    commanded, played = s["commanded"], s["played"]
+    assert lines["vibration"] == (
+        f"{commanded['vibration_um_rms']:.2f} µm rms commanded, "
+        f"{played['vibration_um_rms']:.2f} µm rms played, 20–1000 Hz"
+    )
+    for name in ("drag", "peak"):
+        values = commanded[f"{name}_um"], played[f"{name}_um"]
+        assert lines[name] == "{:.2f} µm commanded, {:.2f} µm played".format(*values)
+    level, center = played["level_db_sl"], played["level_hz"]
+    assert lines["sensation"] == f"felt: {level:.0f} dB above threshold at {center:g} Hz"
+    assert 4 * commanded["vibration_um_rms"] < commanded["drag_um"]
+    assert not {"rms_shear_um", "peak_shear_um"} & set(s)
 
 
 def test_the_report_tells_what_a_bus_counted(

@@ -137,9 +137,9 @@ def test_the_summary_says_what_the_recording_holds(
     assert (s.texture, s.display, s.device) == ("wood-oak", "reference-24", "sim:")
     assert (s.seconds, s.samples, s.voltage_limit_v) == (0.5, 4000, 100.0)
     assert s.peak_drive_v == np.abs(r["drive_v"]).max()
-    assert s.peak_shear_um == pytest.approx(np.abs(r["shear_target_m"]).max() * 1e6, rel=1e-12)
-    rms = float(np.sqrt(np.mean(r["shear_target_m"] ** 2))) * 1e6
-    assert s.rms_shear_um == pytest.approx(rms, rel=1e-9)
+    for figures, name in ((s.commanded, "shear_target_m"), (s.played, "shear_played_m")):
+        assert figures is not None
+        assert figures.peak_um == pytest.approx(np.abs(r[name]).max() * 1e6, rel=1e-12)
     assert s.limited_samples == s.invalid_samples == 0
     assert s.faults == {}
     assert s.recording == str(target)
@@ -150,7 +150,12 @@ def test_the_summary_says_what_the_recording_holds(
     assert 0 < s.peak_current_ma < 10, "the display's limit"
     assert s.outcome == Outcome(4000, 4000)
     fields = {name: getattr(s, name) for name in Summary.__dataclass_fields__}
-    assert s.as_dict() == fields | {"outcome": asdict(s.outcome)}
+    assert s.commanded is not None
+    assert s.played is not None
+    nested = {
+        "outcome": asdict(s.outcome), "commanded": asdict(s.commanded), "played": asdict(s.played),
+    }  # fmt: skip
+    assert s.as_dict() == fields | nested
 
 
 def test_without_a_simulated_skin_there_is_no_played_shear(
@@ -159,6 +164,7 @@ def test_without_a_simulated_skin_there_is_no_played_shear(
     trajectory, target = swing(0.3), tmp_path / "mock.npz"
     s = run(display, oak, trajectory, device="mock:", record=target)
     assert s.signal_to_error_db is None
+    assert s.played is None
     assert s.peak_current_ma is None
     assert s.device == "mock:"
     r = recorded(target)

@@ -306,7 +306,10 @@ def test_a_run_takes_a_gain_and_tells_it(pair: Display, calf: Texture) -> None:
     line = Trajectory.line(speed=0.08, duration=0.2)
     one, three = (run(pair, calf, line, device="mock:", gain=g) for g in (1.0, 3.0))
     assert (one.gain, three.gain) == (1.0, 3.0)
-    assert three.peak_shear_um == pytest.approx(3 * one.peak_shear_um, rel=1e-4)
+    assert one.commanded is not None
+    assert three.commanded is not None
+    vibration = one.commanded.vibration_um_rms
+    assert three.commanded.vibration_um_rms == pytest.approx(3 * vibration, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -249,11 +249,24 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
     return rows
 
 
+def _shear(commanded: dict[str, Any] | None, played: dict[str, Any] | None) -> dict[str, str]:
+    """Return the lines about the shear, from its figures."""
+    from tactile.strength.figures import ONSET, SHORTEST, ShearFigures, figure_rows
+
+    if commanded is None:
+        return {
+            "vibration": f"not measured: without its first {ONSET * 1e3:g} mm and the ramps, less "
+            f"than {SHORTEST:g} s of the stroke is left"
+        }
+    return figure_rows(
+        ShearFigures(**commanded), None if played is None else ShearFigures(**played)
+    )
+
+
 def _samples(s: dict[str, Any]) -> dict[str, str]:
     """Return the lines about a device that takes samples."""
-    rows = {
-        "shear": f"{s['rms_shear_um']:.2f} µm rms, {s['peak_shear_um']:.2f} µm peak; "
-        f"at most {s['attainable_um']:.1f} µm peak can be reached at every frequency up to 1 kHz",
+    rows = _shear(s["commanded"], s["played"]) | {
+        "attainable": f"{s['attainable_um']:.1f} µm peak at every frequency up to 1 kHz",
         "drive": f"{s['peak_drive_v']:.1f} V peak of {s['voltage_limit_v']:.0f} V, "
         f"{s['limited_samples']} samples limited",
         "equalizer": f"within {s['equalizer_error_db']:.2f} dB of the inverse response, 10–1000 Hz",

@@ -23,6 +23,7 @@ from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.sim import Fidelity, SimulatedDisplay
+from tactile.strength.figures import ShearFigures, StrokeMeter
 from tactile.strength.strength import amplified
 from tactile.texture.surface import Texture
 
@@ -58,10 +59,11 @@ class Summary:
         Peak drive.
     voltage_limit_v : float
         Voltage limit of the drive.
-    rms_shear_um : float
-        Root mean square of the commanded shear.
-    peak_shear_um : float
-        Peak of the commanded shear.
+    commanded : ShearFigures or None
+        Figures of the commanded shear; None on a link that takes spectrum frames, and for a stroke
+        without a steady part.
+    played : ShearFigures or None
+        Figures of the played shear, on a simulated display.
     attainable_um : float
         Peak shear that full drive attains at the worst frequency up to 1000 Hz.
     equalizer_error_db : float
@@ -94,8 +96,8 @@ class Summary:
     frames: int = 0
     peak_drive_v: float = 0.0
     voltage_limit_v: float = 0.0
-    rms_shear_um: float = 0.0
-    peak_shear_um: float = 0.0
+    commanded: ShearFigures | None = None
+    played: ShearFigures | None = None
     attainable_um: float = 0.0
     equalizer_error_db: float = 0.0
     limited_samples: int = 0
@@ -128,6 +130,7 @@ class _Run:
         delay: int,
         record: Path | None,
         display: Display,
+        trajectory: Trajectory,
     ) -> None:
         self.summary, self._bus, self._rate = summary, bus, rate
         self._simulated = bus if isinstance(bus, SimulatedDisplay) else None
@@ -138,10 +141,11 @@ class _Run:
             )
             summary.recording = str(record)
         self._fidelity = Fidelity(rate)
+        begin, end, fade = trajectory.time[0], trajectory.time[-1], display.limits.fade
+        self._meter = StrokeMeter(display, rate, begin + fade, end - fade)
         self._preroll = delay
         self._waiting: list[PlayedBlock] = []
         self._skin_shear = np.zeros((0, 0))
-        self._square = 0.0
 
     def account(self, block: PlayedBlock) -> None:
         """Count a block in.
@@ -154,8 +158,6 @@ class _Run:
         s = self.summary
         s.samples += len(block.time)
         s.peak_drive_v = max(s.peak_drive_v, float(np.abs(block.drive).max()))
-        s.peak_shear_um = max(s.peak_shear_um, float(np.abs(block.shear).max()) * 1e6)
-        self._square += float(np.mean(block.shear**2, axis=1).sum())
 
     def paired(self, block: PlayedBlock | None) -> list[tuple[PlayedBlock, Floats | None]]:
         """Return the blocks whose played shear is known by now, each with that shear.
@@ -239,6 +241,7 @@ class _Run:
     def _write(self, block: PlayedBlock | None) -> None:
         """Record the blocks that are complete by now."""
         for played, shear in self.paired(block):
+            self._meter.add(played.time, played.position, played.shear, shear)
             if self._recorder is not None:
                 self._recorder.add(**_rows(played, shear))
 
@@ -246,7 +249,7 @@ class _Run:
         """Complete the summary."""
         s = self.summary
         s.seconds = s.samples / self._rate
-        s.rms_shear_um = float(np.sqrt(self._square / max(s.samples, 1))) * 1e6
+        s.commanded, s.played = self._meter.commanded, self._meter.played
         s.limited_samples = renderer.limiter.limited_samples
         s.invalid_samples = renderer.invalid_samples + renderer.limiter.invalid_samples
         band = renderer.frequency <= PASS_BAND
@@ -327,7 +330,7 @@ def run(
                     _play_frames(summary, display, texture, trajectory, bus, seed, record)
                 else:
                     renderer = Renderer(display, texture, sample_rate=rate, seed=seed)
-                    account = _Run(summary, bus, rate, renderer.delay, record, display)
+                    account = _Run(summary, bus, rate, renderer.delay, record, display, trajectory)
                     account.play(display, renderer, trajectory, watch, realtime=realtime)
         except BusError as error:  # after `guarded` has latched the e-stop of an amplifier
             if not bus.next_position:

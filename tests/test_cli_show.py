@@ -42,17 +42,21 @@ def test_without_color_the_surface_is_height_and_the_spectrum_bars(command: Comm
     assert "\x1b" not in result.out
     lines = result.out.splitlines()
     assert max(map(len, lines)) <= 100
-    assert lines[0].split() == ["tactile", "reference-24", "·", "wood-oak"]
+    assert lines[0].split(maxsplit=1) == [
+        "tactile", "wood-oak on reference-24, 80 mm/s, 0.5 N, gain 1",
+    ]  # fmt: skip
     assert lines[3].startswith("surface, 8 × 8 mm, stroke →")
     assert "spectrum at 80 mm/s, µm peak per third octave" in lines[3]
     surface = [line[:40] for line in lines[4:24]]
     assert {sign for line in surface for sign in line} <= set(" ▁▂▃▄▅▆▇█")
     assert lines[24].startswith("−4 µm ▁")
-    (felt,) = [line for line in lines if line[43:].startswith("   251 ")]
+    (felt,) = [line for line in lines if line[43:].startswith("   250 ")]
     micro, decibels = felt.split()[-4], felt.split()[-2]
     assert float(micro) == pytest.approx(seen("wood-oak").spectrum.total[24] * 1e6, abs=0.005)
     assert float(decibels) == pytest.approx(20 * np.log10(float(micro) / (0.45 * 0.1)), abs=0.6)
-    assert "0.88 µm rms at 80 mm/s and 0.5 N" in lines[-2]
+    commanded = seen("wood-oak").commanded
+    assert lines[-3].startswith(f"vibration {commanded.vibration_um_rms:.2f} µm rms  ·  drag ")
+    assert lines[-2].startswith("felt: 14 dB above threshold at 250 Hz  ·  wood")
     assert lines[-1].startswith("source: Level: reference")
 
 

@@ -52,9 +52,9 @@ def wide(display: Display, shear: Floats) -> Floats:
 
 @pytest.mark.parametrize("block", [1, 64, 1000, 16000])
 def test_a_tone_on_a_drag_is_told_apart_however_it_is_cut(pair: Display, block: int) -> None:
-    """Tolerances are those of a window's leakage, and of a tone's mean over 1.8 s."""
+    """Tolerances are those of a tone's onset in a filter, and of its mean over 1.8 s."""
     result = figures(pair, ALONG, wide(pair, TONE - 5e-6), block)
-    assert result.vibration_um_rms == pytest.approx(1 / np.sqrt(2), rel=1e-6)
+    assert result.vibration_um_rms == pytest.approx(1 / np.sqrt(2), rel=2e-3)
     assert result.drag_um == pytest.approx(5.0, rel=1e-6)
     assert result.peak_um == pytest.approx(6.0, rel=1e-9)
     assert result.level_db_sl == pytest.approx(20 * np.log10(1 / 0.045), abs=0.05)
@@ -67,13 +67,13 @@ def test_vibration_is_from_20_to_1000_hz(pair: Display, frequency: float, counts
     """What leaks over 5 Hz through the window of half a second is below 2 %."""
     tone = 1e-6 * np.sin(2 * np.pi * frequency * TIME)
     result = figures(pair, ALONG, wide(pair, tone)).vibration_um_rms
-    assert result == pytest.approx(counts / np.sqrt(2), abs=0.02)
+    assert result == pytest.approx(counts / np.sqrt(2), abs=0.03)
 
 
 def test_what_differs_between_contactors_is_a_mean_in_power(pair: Display) -> None:
     shear = np.stack([TONE, 3 * TONE], axis=1)
     result = figures(pair, ALONG, shear)
-    assert result.vibration_um_rms == pytest.approx(np.sqrt((1 + 9) / 2 / 2), rel=1e-6)
+    assert result.vibration_um_rms == pytest.approx(np.sqrt((1 + 9) / 2 / 2), rel=2e-3)
     assert result.peak_um == pytest.approx(3.0, rel=1e-6)
 
 
@@ -108,7 +108,7 @@ def test_a_finger_that_begins_late_has_its_onset_there(pair: Display) -> None:
     late = np.where(TIME < 1.0625, 7e-6, TONE - 5e-6)
     result = figures(pair, position, wide(pair, late))
     assert result.drag_um == pytest.approx(5.0, rel=1e-3)
-    assert result.vibration_um_rms == pytest.approx(1 / np.sqrt(2), rel=1e-3)
+    assert result.vibration_um_rms == pytest.approx(1 / np.sqrt(2), rel=1e-2)
 
 
 def test_a_stroke_without_a_steady_part_has_no_figures(pair: Display) -> None:
@@ -120,7 +120,7 @@ def test_a_stroke_without_a_steady_part_has_no_figures(pair: Display) -> None:
 def test_what_is_played_is_measured_on_the_same_samples(pair: Display) -> None:
     meter = measured(pair, ALONG, wide(pair, TONE - 5e-6), wide(pair, TONE / 2 - 4e-6))
     assert meter.played is not None
-    assert meter.played.vibration_um_rms == pytest.approx(0.5 / np.sqrt(2), rel=1e-6)
+    assert meter.played.vibration_um_rms == pytest.approx(0.5 / np.sqrt(2), rel=1e-2)
     assert (meter.played.drag_um, meter.played.peak_um) == pytest.approx((4.0, 4.5), rel=1e-6)
 
 
@@ -139,23 +139,19 @@ def test_whether_it_is_felt_is_said_with_the_distance_to_the_threshold(
 
 
 @pytest.mark.parametrize(
-    ("trajectory", "within_db"), [(stroke(2.0), 0.3), (swing(2.0), 0.5)], ids=["stroke", "swing"]
+    ("trajectory", "within_db"), [(stroke(2.0), 0.1), (swing(2.0), 0.2)], ids=["stroke", "swing"]
 )
 def test_a_run_tells_what_filters_find_in_its_recording(
     display: Display, oak: Texture, tmp_path: Path, trajectory: Trajectory, within_db: float
 ) -> None:
-    """A filter forward and backward on the whole steady part, and a plain mean.
-
-    Windows of half a second weigh some parts of 1.9 s more than others: 0.3 dB, and 0.5 dB for the
-    finger that swings, since friction turns over within milliseconds where it stops.
-    """
+    """Another filter, forward and backward on the whole steady part, and a plain mean."""
     summary = run(display, oak, trajectory, record=tmp_path / "r.npz")
     r = recorded(tmp_path / "r.npz")
     way = np.cumsum(np.hypot(*np.diff(r["position_mm"], axis=0, prepend=0.0).T))
     first = max(int(np.argmax(way >= 5.0)), round(0.02 * RATE))
     steady = slice(first, -round(0.02 * RATE))
     direction = np.sign(np.gradient(r["position_mm"][:, 0]))[steady, None]
-    sos = butter(8, [20, 1000], "bandpass", fs=RATE, output="sos")
+    sos = butter(20, [20, 1000], "bandpass", fs=RATE, output="sos")
     for result, name in ((summary.commanded, "target"), (summary.played, "played")):
         assert result is not None
         shear = r[f"shear_{name}_m"][steady] * 1e6

@@ -18,6 +18,7 @@ from tactile.show import views
 from tactile.show.plots import save, sheet_figure, texture_figure
 from tactile.show.views import Tile, View, view_texture
 from tactile.strength.commanded import commanded_lines
+from tactile.strength.strength import SteadyStroke
 from tactile.texture.perception import band_sensation, detection_threshold
 from tactile.texture.surface import Texture, load_texture
 
@@ -105,16 +106,6 @@ def test_sparse_events_are_on_the_surface() -> None:
     np.testing.assert_allclose(patch - waves, expected, atol=0.02 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize(
-    "name", ["wood-oak", pytest.param("plastic-acrylic-ribbed", marks=pytest.mark.ci)]
-)
-def test_the_rms_is_that_of_a_large_piece_of_surface(name: str) -> None:
-    texture = shipped(name)
-    patch = views.surface_patch(texture, side=8.0, pixels=300, speed=0.08)
-    # of so many envelopes, and of the beats of ribs that waver by 0.2 %: within a few percent
-    assert views.texture_rms(texture, 0.08, 0.5) == pytest.approx(patch.std(), rel=0.05)
-
-
 def test_third_octaves_are_those_of_a_long_stroke() -> None:
     """The reference is the periodogram of a line of 4 m, which knows of no wave vector."""
     texture = shipped("plastic-acrylic-ribbed")
@@ -174,7 +165,8 @@ def test_the_mean_square_of_events_is_that_of_those_drawn(tmp_path: Path) -> Non
     many = made(tmp_path, events.format(4.0, 0.4))
     one = made(tmp_path, events.format(1.0, 0.0))
     squares = np.sum(many.realize().event_peak ** 2) / (25.6**2 * 3e-6**2)
-    power = (views.texture_rms(many, 0.04, 0.5) / views.texture_rms(one, 0.04, 0.5)) ** 2
+    many_power, one_power = (commanded_lines(t, **REFERENCE).power.sum() for t in (many, one))
+    power = many_power / one_power
     # 2600 of them: 2 % in number, 2 % in mean square
     assert power == pytest.approx(squares, rel=0.08)
 
@@ -213,14 +205,14 @@ def test_show_and_strength_tell_the_same_level(speed: float, tmp_path: Path) -> 
     texture = made(tmp_path, grating + "[laws]\nspeed_exponent = 0.0\n")
     shown = views.texture_spectrum(texture, speed=speed)
     lines = commanded_lines(texture, speed=speed, normal_force=0.5)
-    level = band_sensation(lines.frequency, lines.power)
-    band = int(np.argmax(level))
-    center, own = detection_threshold(np.array([CENTER[band], speed / 0.8547e-3]))
-    expected = level[band] + 20 * np.log10(own / center)
-    assert shown.excess_db[band] == pytest.approx(expected, abs=0.01)
+    band = int(np.argmax(band_sensation(lines.frequency, lines.power)))
+    (own,) = detection_threshold(np.array([speed / 0.8547e-3]))
+    assert shown.level[band] == pytest.approx(20 * np.log10(3e-6 / own), abs=0.01)
+    assert shown.threshold[band] == pytest.approx(own, rel=1e-3)
+    assert np.argmax(shown.level) == band
 
 
-@pytest.mark.parametrize(("micro", "felt"), [(0.0445, []), (0.0459, [251.19])])
+@pytest.mark.parametrize(("micro", "felt"), [(0.0445, []), (0.0459, [250.0])])
 def test_a_texture_is_felt_from_the_threshold_on(
     micro: float, felt: list[float], tmp_path: Path
 ) -> None:
@@ -229,7 +221,7 @@ def test_a_texture_is_felt_from_the_threshold_on(
     view = view_texture(made(tmp_path, content), DISPLAY, speed=0.04)
     figures = views.view_figures(view)
     assert figures["felt_hz"] == felt
-    assert figures["third_octave_hz"] == [251.19]
+    assert figures["third_octave_hz"] == [250.0]
 
 
 def test_the_stroke_is_the_surface_under_each_contactor() -> None:
@@ -344,8 +336,12 @@ def test_the_figure_follows_one_place_under_the_row() -> None:
 def test_facts_are_told_above() -> None:
     view = seen("wood-oak")
     told = " ".join(texts(texture_figure(view)))
-    for fact in ("wood-oak on reference-24", f"{view.rms * 1e6:.2f} µm rms", "European oak",
-                 "authored", "friction 0.5 at rest, 0.35 sliding", "source: Level: reference",
+    commanded = view.commanded
+    for fact in ("wood-oak on reference-24, 80 mm/s, 0.5 N, gain 1", "European oak",
+                 f"vibration {commanded.vibration_um_rms:.2f} µm rms",
+                 f"drag {commanded.drag_um:.2f} µm", f"peak {commanded.peak_um:.2f} µm",
+                 "felt: 14 dB above threshold at 250 Hz", "authored",
+                 "friction 0.5 at rest, 0.35 sliding", "source: Level: reference",
                  "sparse events, in the mean",
                  "tangential detection threshold ± 5 dB"):  # fmt: skip
         assert fact in told
@@ -391,7 +387,7 @@ def test_a_texture_beyond_the_band_is_drawn_as_not_played(tmp_path: Path) -> Non
 @cache
 def tiles() -> tuple[Tile, ...]:
     return tuple(
-        views.tile(shipped(name), speed=0.08)
+        views.tile(shipped(name), DISPLAY, SteadyStroke())
         for name in ("wood-pine-sanded", "plastic-acrylic-ribbed", "wood-oak")
     )
 
@@ -407,7 +403,7 @@ def many() -> list[Tile]:
 
 
 def test_a_sheet_has_surface_and_strip_of_each_by_category_and_name() -> None:
-    figure = sheet_figure(tiles(), speed=0.08)
+    figure = sheet_figure(tiles(), conditions="a display")
     ordered = sorted(tiles(), key=lambda one: one.name)
     assert ordered[0].name == "plastic-acrylic-ribbed"
     for surface, one in zip(figure.axes[::2], ordered, strict=True):
@@ -416,11 +412,12 @@ def test_a_sheet_has_surface_and_strip_of_each_by_category_and_name() -> None:
     told = texts(figure)
     for words in ("plastic", "acrylic-ribbed", "wood", "oak", "pine-sanded", "3 textures"):
         assert words in told
-    assert f"{ordered[1].rms * 1e6:.2g} µm rms" in told
+    figures = ordered[1].figures
+    assert f"{figures.vibration_um_rms:.2f} µm rms, {figures.level_db_sl:+.0f} dB" in told
 
 
 def test_a_category_has_one_scale_that_is_named() -> None:
-    figure = sheet_figure(tiles(), speed=0.08)
+    figure = sheet_figure(tiles(), conditions="a display")
     plastic, oak, pine = (images(axes)[0][1] for axes in figure.axes[::2])
     assert oak == pine
     assert plastic != oak
@@ -431,7 +428,7 @@ def test_a_category_has_one_scale_that_is_named() -> None:
 
 @pytest.mark.ci
 def test_a_sheet_of_45_keeps_all_apart_and_on_the_page() -> None:
-    figure = sheet_figure(many(), speed=0.08)
+    figure = sheet_figure(many(), conditions="a display")
     assert len(figure.axes) == 90
     boxes = [axes.get_position() for axes in figure.axes]
     words = [t.get_window_extent().transformed(figure.transFigure.inverted()) for t in figure.texts]
@@ -454,7 +451,7 @@ def test_pictures_are_written(tmp_path: Path) -> None:
     save(texture_figure(seen("wood-oak")), tmp_path / "one.png")
     picture = imread(tmp_path / "one.png")
     assert picture.shape[:2] == (1410, 1500), "9.4 × 10 inches of 150 dots"
-    save(sheet_figure(tiles()[:1], speed=0.08), tmp_path / "all.svg")
+    save(sheet_figure(tiles()[:1], conditions="a display"), tmp_path / "all.svg")
     assert (tmp_path / "all.svg").read_bytes().startswith(b"<?xml")
 
 
@@ -464,4 +461,4 @@ def test_pictures_are_written(tmp_path: Path) -> None:
 )
 def test_a_file_that_cannot_be_is_refused(file: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
-        save(sheet_figure(tiles()[:1], speed=0.08), tmp_path / file)
+        save(sheet_figure(tiles()[:1], conditions="a display"), tmp_path / file)

@@ -126,7 +126,7 @@ def run(
         )  # fmt: skip
     if as_json or not quiet:
         title = _title(summary.outcome, surface.descriptor.texture.description)
-        rows = {"put out": _put_out(summary)}
+        rows = {"put out": _put_out(summary), "stroke": _stroke_of(stroke, path)}
         emit(summary.as_dict(), as_json, lambda facts: print_facts(rows | _report(facts), title))
     raise typer.Exit(_exit_code(summary, allowed))
 
@@ -159,6 +159,14 @@ def _exit_code(summary: "Summary", allowed: Fraction) -> int:
         return 0
     print(f"tactile: put out {_put_out(summary)}: {outcome.cause}", file=sys.stderr)
     return 130 if outcome.ending == "interrupted" else 1
+
+
+def _stroke_of(stroke: dict[str, float | None], path: Path | None) -> str:
+    """Return the path of the finger as text."""
+    if path is not None:
+        return f"as in {path}"
+    speed, _, angle, force = (within(name, stroke[name], *STROKE[name]) for name in STROKE)
+    return f"{speed:g} mm/s, {force:g} N" + (f", {angle:g}°" if angle else "")
 
 
 def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.Trajectory":
@@ -227,8 +235,7 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
         "on": f"{s['display']} at {s['device']}, {s['sample_rate_hz']:g} Hz",
         "length": f"{s['seconds']:.3f} s, {s['samples']} samples",
     }
-    if s["gain"] != 1:
-        rows["gain"] = f"{s['gain']:.3g}"
+    rows["gain"] = f"{s['gain']:.3g}"
     if s["frames"]:
         rows["frames"] = (
             f"{s['frames']} spectrum frames, {s['limited_samples']} of them limited; the events of "

@@ -9,7 +9,7 @@ import tactile
 from tactile.cli.options import SpeedOption, check_plot, within
 from tactile.cli.printing import progress_bar
 from tactile.cli.show_command import SPEED
-from tactile.cli.textures_command import find_textures
+from tactile.cli.textures_command import DISPLAY, find_textures
 
 
 def run(
@@ -27,12 +27,14 @@ def run(
     """
     from tactile.show.plots import save, sheet_figure
     from tactile.show.views import tile
+    from tactile.strength.strength import SteadyStroke, conditions
 
-    speed = within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3
+    stroke = SteadyStroke(speed=within("--speed-mm-s", speed_mm_s, *SPEED) * 1e-3)
+    display = tactile.load_display(DISPLAY)
     check_plot(plot)
     names = [descriptor.texture.id for descriptor in find_textures(category)]
     with progress_bar(visible=True) as bar:
         watched = bar.track(names, description="textures")
-        tiles = [tile(tactile.load_texture(name), speed=speed) for name in watched]
-    save(sheet_figure(tiles, speed=speed), plot)
+        tiles = [tile(tactile.load_texture(name), display, stroke) for name in watched]
+    save(sheet_figure(tiles, conditions=conditions(display, stroke)), plot)
     print(f"drawn: {plot}, {len(tiles)} textures")

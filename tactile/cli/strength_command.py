@@ -1,6 +1,7 @@
 """The command ``tactile strength``."""
 
 import math
+from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
@@ -75,11 +76,14 @@ def _facts(
     gain: float,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the levels and the drive of one display; the level of no motion is None."""
+    from tactile.strength.strength import conditions
+    from tactile.texture.bands import nominal_centers
+
     s = tactile.texture_strength(display, texture, stroke, gain=gain)
     best = s.automatic
     rows = zip(
-        s.frequency, s.commanded * 1e6, s.attained * 1e6, s.attainable * 1e6, s.threshold * 1e6,
-        s.level, s.lost_db, strict=True,
+        nominal_centers(s.frequency), s.commanded * 1e6, s.attained * 1e6, s.attainable * 1e6,
+        s.threshold * 1e6, s.level, s.lost_db, strict=True,
     )  # fmt: skip
     keys = (
         "frequency_hz", "commanded_um_rms", "attained_um_rms", "attainable_um_peak",
@@ -92,6 +96,9 @@ def _facts(
         "speed_mm_s": stroke.speed * 1e3,
         "normal_force_n": stroke.normal_force,
         "gain": gain,
+        "conditions": conditions(display, stroke, gain),
+        "commanded": asdict(s.figures),
+        "played": asdict(s.played_figures),
         "bands": bands,
         "channels_db_sl": {name: _finite(level) for name, level in s.channels.items()},
         "felt_by": list(s.felt_by),
@@ -136,10 +143,9 @@ def _print(facts: dict[str, Any]) -> None:
 
 def _print_display(facts: dict[str, Any]) -> None:
     """Print the bands, the levels of the receptors and the drive of one display."""
-    title = (
-        f"{facts['texture']} on {facts['display']}, {facts['speed_mm_s']:g} mm/s, "
-        f"{facts['normal_force_n']:g} N, gain {facts['gain']:g}"
-    )
+    from tactile.strength.figures import ShearFigures, figure_rows
+
+    title = f"{facts['texture']} on {facts['conditions']}"
     columns = right(
         "Hz", "commanded µm", "played µm", "attainable µm pk", "threshold µm pk", "dB SL"
     )
@@ -149,6 +155,8 @@ def _print_display(facts: dict[str, Any]) -> None:
         if level is not None and level > SMALLEST_DB:
             cells.append((*(f"{size:.3g}" for size in sizes), f"{level:+.1f}"))
     print_table(columns, cells, title)
+    figures = figure_rows(ShearFigures(**facts["commanded"]), ShearFigures(**facts["played"]))
+    print_facts(figures, "Figures of the shear")
     rows = {
         f"{name}, {tactile.TOUCH_CHANNELS[name].receptor}": _level(level)
         for name, level in facts["channels_db_sl"].items()
@@ -163,7 +171,7 @@ def _print_display(facts: dict[str, Any]) -> None:
             f"{facts['automatic_gain']:.3g} for {facts['automatic_level_db_sl']:+.1f} dB SL, "
             f"limited by the {facts['limit']}"
         )
-    print_facts(rows, "Level above the detection threshold, ± 5 dB between people")
+    print_facts(rows, "All bands together, above the detection threshold, ± 5 dB between people")
 
 
 def _level(level: float | None) -> str:

@@ -1,5 +1,6 @@
 """The command ``tactile textures``."""
 
+from dataclasses import asdict
 from typing import Annotated, Any, get_args
 
 import typer
@@ -10,9 +11,10 @@ from tactile.cli.printing import print_bands, print_facts, print_table, right, u
 from tactile.errors import NotFoundError
 from tactile.files import nearest
 from tactile.texture import descriptor
-from tactile.texture.amplitudes import strength_of
 from tactile.texture.descriptor import About, Descriptor
 
+DISPLAY = "reference-24"
+"""Display for which figures are given."""
 CATEGORIES = [str(name) for name in get_args(About.__annotations__["category"])]
 
 
@@ -38,11 +40,18 @@ def run(
 
     Example: tactile textures --category wood --search grain
     """
+    display = tactile.load_display(DISPLAY)
     if name is not None:
         texture = tactile.load_texture(name)
-        emit(_texture_facts(texture), as_json, lambda facts: _print_texture(texture, facts))
+        emit(
+            _texture_facts(texture, display), as_json, lambda facts: _print_texture(texture, facts)
+        )
     else:
-        emit([_facts(d) for d in find_textures(category, search)], as_json, _print_list)
+        listed = [
+            _facts(d) | _stroke_facts(tactile.load_texture(d.texture.id), display)
+            for d in find_textures(category, search)
+        ]
+        emit(listed, as_json, _print_list)
 
 
 def find_textures(category: str | None, search: str | None = None) -> list[Descriptor]:
@@ -91,34 +100,58 @@ def _facts(d: Descriptor) -> dict[str, Any]:
         "provenance": about.provenance,
         "source": about.source,
         "license": about.license,
-        "rms_um": strength_of(d).rms_um,
     }
 
 
-def _texture_facts(t: "tactile.Texture") -> dict[str, Any]:
+def _stroke_facts(texture: "tactile.Texture", display: "tactile.Display") -> dict[str, Any]:
+    """Return what a texture commands in the stroke that is assumed unless another is given."""
+    from tactile.strength.strength import SteadyStroke, commanded_figures, conditions
+
+    stroke = SteadyStroke()
+    return {
+        "conditions": conditions(display, stroke),
+        "commanded": asdict(commanded_figures(display, texture, stroke)),
+    }
+
+
+def _texture_facts(t: "tactile.Texture", display: "tactile.Display") -> dict[str, Any]:
     """Return what the descriptor of a texture states and what its surface realizes."""
-    return _facts(t.descriptor) | {
-        "partials": len(t.partials.amplitude),
-        "band_frequency_per_mm": [round(f * 1e-3, 4) for f in t.band_frequency],
-        "band_error_db": [round(float(e), 3) for e in t.band_error_db],
-    }
+    return (
+        _facts(t.descriptor)
+        | _stroke_facts(t, display)
+        | {
+            "partials": len(t.partials.amplitude),
+            "band_frequency_per_mm": [round(f * 1e-3, 4) for f in t.band_frequency],
+            "band_error_db": [round(float(e), 3) for e in t.band_error_db],
+        }
+    )
 
 
 def _print_list(listed: list[dict[str, Any]]) -> None:
     """Print a line for each texture."""
-    columns = [unwrapped("name"), "category", *right("rms µm"), "provenance", "description"]
+    columns = [
+        unwrapped("name"), "category", *right("µm rms", "dB SL"),
+        "provenance", "description",
+    ]  # fmt: skip
     rows = (
-        (t["name"], t["category"], f"{t['rms_um']:.2f}", t["provenance"], t["description"])
+        (
+            t["name"], t["category"], f"{t['commanded']['vibration_um_rms']:.2f}",
+            f"{t['commanded']['level_db_sl']:+.0f}", t["provenance"], t["description"],
+        )
         for t in listed
-    )
-    print_table(columns, rows)
+    )  # fmt: skip
+    title = "Vibration (20–1000 Hz) and level above the detection threshold, commanded on "
+    print_table(columns, rows, title + listed[0]["conditions"])
 
 
 def _print_texture(t: "tactile.Texture", facts: dict[str, Any]) -> None:
-    """Print the description and the bands of a texture."""
+    """Print the description, the figures and the bands of a texture."""
+    from tactile.strength.figures import ShearFigures, figure_rows
+
     rows = {k: str(facts[k]).strip() for k in ("category", "provenance", "license", "source")}
     d = t.descriptor
-    rows["strength"] = f"{facts['rms_um']:.2f} µm rms at {d.reference.speed_mm_s:g} mm/s"
+    rows["on"] = facts["conditions"]
+    rows |= figure_rows(ShearFigures(**facts["commanded"]), None)
     rows["parts"] = (
         f"{facts['partials']} partials, {len(d.periodic)} gratings, {len(d.events)} kinds of events"
     )

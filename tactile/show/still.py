@@ -29,7 +29,7 @@ from tactile.show.live import (
     nice,
     scale_line,
 )
-from tactile.show.views import CENTER, PIXELS, SIDE, View, facts, just_felt, shown_bands
+from tactile.show.views import NOMINAL, PIXELS, SIDE, View, facts, shown_bands
 
 COLUMNS = (40, 24, 12)
 """Widths that a surface may have [characters]; each divides the number of its pixels, as half of it
@@ -97,7 +97,7 @@ def screen_lines(view: View, width: int, *, color: bool) -> list[Line]:
         pairs = itertools.zip_longest(left, right, fillvalue=[])
         body = [[*Segment.adjust_line_length(a, columns + 3), *b] for a, b in pairs]
     about = view.texture.descriptor.texture.description
-    name = f" {view.display.name} · {view.texture.name}"
+    name = f" {view.texture.name} on {view.conditions}"
     fact_lines = [[Segment(line, LABEL)] for line in facts(view, max(width - 10, 20))]
     lines = [[Segment(" tactile ", BADGE), Segment(name, TITLE)], [Segment(about)], [], *body, []]
     return [Segment.adjust_line_length(line, width, pad=False) for line in [*lines, *fact_lines]]
@@ -156,14 +156,14 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
     scale = f"{low:g}".ljust(length - len(f"{high:g}")) + f"{high:g} µm, {MARK} just felt"
     lines: list[Line] = [[Segment(head, TITLE)], [Segment(f"{'Hz':>6} {scale}", LABEL)]]
     for band in bands:
-        micro, least = s.total[band] * 1e6, float(just_felt(CENTER[band])) * 1e6
-        excess = s.excess_db[band]
+        micro, least = s.total[band] * 1e6, s.threshold[band] * 1e6
+        excess = s.level[band]
         style = PERCEIVED if excess >= 0 else HIDDEN
         part, mark = (math.log(max(v / low, 1.0)) / math.log(high / low) for v in (micro, least))
         label = f" {micro:7.2f} µm " + (f"{excess:+4.0f} dB" if excess > -100 else "")
         lines.append(
             [
-                Segment(f"{float(f'{CENTER[band]:.3g}'):6g} ", LABEL),
+                Segment(f"{NOMINAL[band]:6g} ", LABEL),
                 *marked_bar(part, mark, length, style),
                 Segment(label.replace("-", "−"), VALUE if excess >= 0 else LABEL),
             ]

@@ -10,7 +10,7 @@ attains.
 """
 
 import textwrap
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,17 +22,21 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import BLOCK, Renderer
 from tactile.rendering.shear import EventField
-from tactile.strength.commanded import law_factor
-from tactile.texture.bands import third_octaves
+from tactile.strength.commanded import commanded_lines, law_factor
+from tactile.strength.figures import ShearFigures
+from tactile.strength.strength import SteadyStroke, commanded_figures, conditions, texture_strength
+from tactile.texture.bands import nominal_centers, third_octaves
 from tactile.texture.descriptor import Events, Periodic
-from tactile.texture.event_power import mean_square, power_below
-from tactile.texture.perception import detection_threshold
+from tactile.texture.event_power import power_below
+from tactile.texture.perception import band_sensation, detection_threshold
 from tactile.texture.surface import Partials, Surface, Texture, without_friction
 
 BANDS = 34
 """Number of third octaves, from 1 Hz to 2 kHz."""
 CENTER = 10 ** (np.arange(BANDS) / 10)
 """Centers of the third octaves, base ten (IEC 61260-1) [Hz]."""
+NOMINAL = nominal_centers(CENTER)
+"""Nominal centers of the third octaves, by which they are named [Hz]."""
 EDGES = third_octaves(CENTER)
 """Edges of the third octaves, base ten (IEC 61260-1) [Hz]."""
 NORMAL_FORCE = 0.5
@@ -86,12 +90,16 @@ class StrokeSpectrum:
         Frequency of each harmonic of the gratings [Hz].
     grating_peak : (H,) array of float
         Peak of each harmonic [m].
+    level : (34,) array of float
+        Sensation level of each third octave with all parts of the texture, −inf beyond 1 kHz
+        [dB SL].
     """
 
     waves: Floats
     events: Floats
     grating_frequency: Floats
     grating_peak: Floats
+    level: Floats
 
     @cached_property
     def total(self) -> Floats:
@@ -100,13 +108,13 @@ class StrokeSpectrum:
         return np.sqrt(self.waves**2 + self.events**2 + gratings)
 
     @cached_property
-    def excess_db(self) -> Floats:
-        """Level of each third octave relative to the detection threshold, (34,) [dB].
+    def threshold(self) -> Floats:
+        """Peak of each third octave at which it is just felt, (34,) [m].
 
-        It is −inf beyond 1 kHz.
+        It is that of the frequencies that the band holds, or of its center if it is empty.
         """
-        with np.errstate(divide="ignore"):
-            return np.asarray(20 * np.log10(self.total / just_felt(CENTER)))
+        own = self.total * 10 ** (-np.maximum(self.level, -300) / 20)
+        return np.where(np.isfinite(self.level), own, just_felt(CENTER))
 
 
 @dataclass(frozen=True)
@@ -159,6 +167,8 @@ class View:
         the display's table that is nearest in force [m].
     sweep : Sweep
         Stroke at this speed and force.
+    commanded, played : ShearFigures
+        Figures of the commanded and of the played shear.
     """
 
     texture: Texture
@@ -170,14 +180,13 @@ class View:
     frequency: Floats
     attainable: Floats
     sweep: Sweep
+    commanded: ShearFigures
+    played: ShearFigures
 
     @property
-    def rms(self) -> float:
-        """Root mean square of the displacement at this speed and force [m].
-
-        It includes what is beyond 1 kHz.
-        """
-        return texture_rms(self.texture, self.speed, self.normal_force)
+    def conditions(self) -> str:
+        """Display and stroke for which the figures hold."""
+        return conditions(self.display, SteadyStroke(self.speed, self.normal_force))
 
 
 def view_texture(
@@ -202,6 +211,7 @@ def view_texture(
         Surface, spectrum, reach and stroke.
     """
     renderer = Renderer(display, without_friction(texture), sample_rate=SAMPLE_RATE)
+    strength = texture_strength(display, texture, SteadyStroke(speed, normal_force))
     finger = int(np.argmin(np.abs(np.asarray(display.load_forces) - normal_force)))
     return View(
         texture, display, speed, normal_force,
@@ -210,6 +220,8 @@ def view_texture(
         frequency=renderer.frequency,
         attainable=renderer.attainable[finger].min(axis=0),
         sweep=_sweep(renderer, display, speed, normal_force),
+        commanded=strength.figures,
+        played=strength.played_figures,
     )  # fmt: skip
 
 
@@ -223,8 +235,8 @@ class Tile:
         Name of the texture.
     category : str
         Category of the texture.
-    rms : float
-        Root mean square of its displacement [m].
+    figures : ShearFigures
+        Figures of the commanded shear.
     surface : (P, P) array of float
         Displacement over `TILE_SIDE` × `TILE_SIDE`, as y by x [m].
     spectrum : StrokeSpectrum
@@ -233,59 +245,36 @@ class Tile:
 
     name: str
     category: str
-    rms: float
+    figures: ShearFigures
     surface: Floats
     spectrum: StrokeSpectrum
 
 
-def tile(texture: Texture, *, speed: float) -> Tile:
+def tile(texture: Texture, display: Display, stroke: SteadyStroke) -> Tile:
     """Compute the summary of one texture among many.
 
     Parameters
     ----------
     texture : Texture
         Texture to show.
-    speed : float
-        Speed of the finger [m/s].
+    display : Display
+        Display to play it.
+    stroke : SteadyStroke
+        Stroke along x.
 
     Returns
     -------
     Tile
-        Surface, level and spectrum.
+        Surface, figures and spectrum.
     """
+    motion = {"speed": stroke.speed, "normal_force": stroke.normal_force}
     return Tile(
         texture.name,
         texture.descriptor.texture.category,
-        texture_rms(texture, speed, NORMAL_FORCE),
-        surface_patch(texture, speed=speed, side=TILE_SIDE, pixels=TILE_PIXELS),
-        texture_spectrum(texture, speed=speed),
+        commanded_figures(display, texture, stroke),
+        surface_patch(texture, **motion, side=TILE_SIDE, pixels=TILE_PIXELS),
+        texture_spectrum(texture, **motion),
     )
-
-
-def texture_rms(texture: Texture, speed: float, normal_force: float) -> float:
-    """Compute the root mean square of a texture's displacement.
-
-    It is that of the realized waves and gratings and of events, and it includes what lies below the
-    lowest band and the effect of ``contact_length_mm``; `tactile.texture.amplitudes.strength_of` is
-    what a descriptor states at its reference, without either.
-
-    Parameters
-    ----------
-    texture : Texture
-        Realized texture.
-    speed : float
-        Speed of the finger [m/s].
-    normal_force : float
-        Normal force [N].
-
-    Returns
-    -------
-    float
-        Displacement [m rms].
-    """
-    waves = float(np.sum(texture.partials.amplitude**2)) / 2
-    events = sum(mean_square(kind) for kind in texture.descriptor.events)
-    return law_factor(texture, speed, normal_force) * float(np.sqrt(waves + events))
 
 
 def surface_patch(
@@ -390,8 +379,12 @@ def texture_spectrum(
     for kind in texture.descriptor.events:
         events += 2 * np.diff(power_below(kind, 2 * np.pi * EDGES / speed))
     frequency, peak = _gratings(texture, speed)
+    lines = commanded_lines(texture, speed=speed, normal_force=normal_force)
+    level = np.full(BANDS, -np.inf)
+    played = CENTER <= PASS_BAND * (1 + 1e-9)
+    level[played] = band_sensation(lines.frequency, lines.power)[: np.count_nonzero(played)]
     return StrokeSpectrum(
-        factor * np.sqrt(waves), factor * np.sqrt(events), frequency, factor * peak
+        factor * np.sqrt(waves), factor * np.sqrt(events), frequency, factor * peak, level
     )
 
 
@@ -461,7 +454,7 @@ def middle_row(places: Floats) -> NDArray[np.intp]:
 
 
 def facts(view: View, width: int) -> list[str]:
-    """Describe a texture in two lines: strength, kind and friction, and source.
+    """Describe a texture in three lines: figures, sensation and kind, and source.
 
     Parameters
     ----------
@@ -473,21 +466,22 @@ def facts(view: View, width: int) -> list[str]:
     Returns
     -------
     list of str
-        Two lines.
+        Three lines.
     """
-    d = view.texture.descriptor
-    values = [
-        f"{view.rms * 1e6:.2f} µm rms at {view.speed * 1e3:g} mm/s and {view.normal_force:g} N",
-        d.texture.category,
-        d.texture.provenance,
+    d, commanded = view.texture.descriptor, view.commanded
+    figures = [
+        f"vibration {commanded.vibration_um_rms:.2f} µm rms",
+        f"drag {commanded.drag_um:.2f} µm",
+        f"peak {commanded.peak_um:.2f} µm",
     ]
+    values = [view.played.sensation, d.texture.category, d.texture.provenance]
     if d.friction is not None:
         values.append(
             f"friction {d.friction.static_coefficient:g} at rest, "
             f"{d.friction.kinetic_coefficient:g} sliding"
         )
     source = textwrap.shorten(d.texture.source, width, placeholder=" …")
-    return ["  ·  ".join(values), f"source: {source}"]
+    return ["  ·  ".join(figures), "  ·  ".join(values), f"source: {source}"]
 
 
 def view_figures(view: View) -> dict[str, object]:
@@ -518,15 +512,17 @@ def view_figures(view: View) -> dict[str, object]:
         "source": " ".join(about.source.split()),
         "speed_mm_s": view.speed * 1e3,
         "normal_force_n": view.normal_force,
-        "rms_um": view.rms * 1e6,
-        "peak_shear_um": float(np.abs(view.sweep.shear).max()) * 1e6,
+        "gain": 1.0,
+        "commanded": asdict(view.commanded),
+        "played": asdict(view.played),
         "static_friction": None if friction is None else friction.static_coefficient,
         "kinetic_friction": None if friction is None else friction.kinetic_coefficient,
-        "third_octave_hz": [round(float(f), 2) for f in center],
+        "third_octave_hz": NOMINAL[bands].tolist(),
         "third_octave_um": (s.total[bands] * 1e6).tolist(),
-        "threshold_um": (just_felt(center) * 1e6).tolist(),
+        "threshold_um": (s.threshold[bands] * 1e6).tolist(),
         "attainable_um": (np.interp(center, view.frequency, view.attainable) * 1e6).tolist(),
-        "felt_hz": [round(float(f), 2) for f in center[s.excess_db[bands] >= 0]],
+        "level_db_sl": [float(x) if np.isfinite(x) else None for x in s.level[bands]],
+        "felt_hz": NOMINAL[bands][s.level[bands] > 0].tolist(),
         "grating_hz": s.grating_frequency.tolist(),
         "grating_um": (s.grating_peak * 1e6).tolist(),
     }
@@ -548,6 +544,6 @@ def shown_bands(spectrum: StrokeSpectrum) -> NDArray[np.intp]:
     (K,) array of int
         Indices of consecutive third octaves.
     """
-    strong = np.flatnonzero(spectrum.excess_db >= spectrum.excess_db.max() - 40)
-    known = np.isfinite(spectrum.excess_db[strong]).any()
+    strong = np.flatnonzero(spectrum.level >= spectrum.level.max() - 40)
+    known = np.isfinite(spectrum.level[strong]).any()
     return np.arange(strong[0], strong[-1] + 1) if known else strong[:0]

@@ -39,6 +39,12 @@ class LineSpectrum:
     frequency: Floats
     power: Floats
 
+    def __add__(self, other: "LineSpectrum") -> "LineSpectrum":
+        return LineSpectrum(
+            np.concatenate([self.frequency, other.frequency]),
+            np.concatenate([self.power, other.power]),
+        )
+
     def times(self, factor: Floats | float) -> "LineSpectrum":
         """Return the spectrum of a scaled displacement.
 

@@ -13,10 +13,11 @@ ends; the peak is that of the whole stroke. `StrokeMeter` measures the figures w
 played, `tactile.strength.strength` predicts them.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import periodogram
+from scipy.signal import ellip, periodogram, sosfilt, sosfilt_zi
 
 from tactile.arrays import Floats
 from tactile.display.display import Display
@@ -27,6 +28,9 @@ VIBRATION_BAND = (20.0, 1000.0)
 ONSET = 5e-3
 """Way of the finger after which friction counts as steady [m]: five times the way in which the
 stretch of a coefficient of 1 builds up (`tactile.rendering.skin_stretch.GIVE`)."""
+ORDER, RIPPLE, REJECTION = 10, 0.01, 40.0
+"""Order of each edge of the elliptic filter that measures vibration, its ripple and its rejection
+[dB]: 15 Hz and 1050 Hz are 40 dB below what passes."""
 SEGMENT = 0.5
 """Duration of the segments of which spectra are averaged, half overlapping [s]. Their lines are 2
 Hz apart."""
@@ -139,8 +143,36 @@ def figure_rows(commanded: ShearFigures, played: ShearFigures | None) -> dict[st
     return {name: text for name, text in rows.items() if text}
 
 
-class _Spectrum:
-    """Running mean of the power spectrum of N channels (Welch's method)."""
+def drag_signs(motion: Floats, axes: Floats) -> Floats:
+    """Return the sign that shear against the motion has along each contactor's axis.
+
+    Parameters
+    ----------
+    motion : (S, 2) array of float
+        Motion of the finger from sample to sample [m].
+    axes : (N, 2) array of float
+        Unit vectors of the contactors' axes.
+
+    Returns
+    -------
+    (S, N) array of float
+        Signs; 0 for an axis across the motion, and for a finger at rest.
+    """
+    along = motion @ axes.T
+    least = np.maximum(ACROSS * np.hypot(*motion.T), STILL)[:, None]
+    return np.where(np.abs(along) > least, -np.sign(along), 0.0)
+
+
+class PowerSpectrum:
+    """Running mean of the power spectrum of several channels (Welch's method).
+
+    Parameters
+    ----------
+    sample_rate : float
+        Sample rate [Hz].
+    channels : int
+        Number of channels N.
+    """
 
     def __init__(self, sample_rate: float, channels: int) -> None:
         self._rate = sample_rate
@@ -149,7 +181,13 @@ class _Spectrum:
         self._frequency, self._power = np.zeros(0), np.zeros(0)
 
     def add(self, shear: Floats) -> None:
-        """Add samples (S, N) [m]."""
+        """Add samples.
+
+        Parameters
+        ----------
+        shear : (S, N) array of float
+            Shear [m].
+        """
         size = len(self._segment)
         while len(shear):
             part = shear[: size - self._filled]
@@ -164,9 +202,16 @@ class _Spectrum:
                 self._segment[: self._filled] = self._segment[size // 2 :].copy()
 
     def lines(self) -> tuple[Floats, Floats] | None:
-        """Return frequencies [Hz] and powers [m²]; None for less than `SHORTEST`.
+        """Return the spectrum so far, as a mean over channels and without that of the mean shear.
 
-        A stroke that is shorter than a segment is one segment.
+        Samples that are fewer than a segment are one segment.
+
+        Returns
+        -------
+        frequency : (K,) array of float
+            Frequencies of the lines [Hz].
+        power : (K,) array of float
+            Mean square of each line [m²]. Both are missing (None) for less than `SHORTEST`.
         """
         if self._segments:
             return self._frequency, self._power / self._segments
@@ -180,11 +225,53 @@ class _Spectrum:
         return frequency[1:], np.asarray(density[1:].mean(axis=1) * frequency[1])
 
 
+class BandPower:
+    """Running mean square of several channels in `VIBRATION_BAND`.
+
+    A filter weighs all samples alike, which windowed spectra do not: a finger that swings for some
+    seconds has most of its vibration at some places of them.
+
+    Parameters
+    ----------
+    sample_rate : float
+        Sample rate [Hz].
+    """
+
+    def __init__(self, sample_rate: float) -> None:
+        self._filter = ellip(
+            ORDER, RIPPLE, REJECTION, VIBRATION_BAND, "bandpass", fs=sample_rate, output="sos"
+        )
+        self._state: Floats | None = None
+        self._sum, self._count = 0.0, 0
+
+    def add(self, shear: Floats) -> None:
+        """Add samples.
+
+        Parameters
+        ----------
+        shear : (S, N) array of float
+            Shear [m].
+        """
+        if not len(shear):
+            return
+        if self._state is None:  # as if the first shear had always been there
+            self._state = sosfilt_zi(self._filter)[..., None] * shear[0]
+        passed, self._state = sosfilt(self._filter, shear, axis=0, zi=self._state)
+        self._sum += float(np.sum(passed**2))
+        self._count += passed.size
+
+    @property
+    def mean_square(self) -> float:
+        """Mean square over channels and time [m²]."""
+        return self._sum / max(self._count, 1)
+
+
 class _Measured:
     """Figures of one shear, so far."""
 
     def __init__(self, sample_rate: float, channels: int) -> None:
-        self._spectrum = _Spectrum(sample_rate, channels)
+        self._spectrum = PowerSpectrum(sample_rate, channels)
+        self._band = BandPower(sample_rate)
         self._peak = self._against = 0.0
         self._moving = 0
 
@@ -192,6 +279,7 @@ class _Measured:
         """Add samples (S, N) [m], and the sign of the drag in each of the steady ones."""
         self._peak = max(self._peak, float(np.abs(shear).max(initial=0.0)))
         self._spectrum.add(shear[steady])
+        self._band.add(shear[steady])
         self._against += float(np.sum(shear[steady] * against)) / shear.shape[1]
         self._moving += int(np.count_nonzero(against.any(axis=1)))
 
@@ -202,7 +290,8 @@ class _Measured:
         if lines is None:
             return None
         drag = self._against / max(self._moving, 1)
-        return shear_figures(*lines, drag=drag, peak=self._peak)
+        result = shear_figures(*lines, drag=drag, peak=self._peak)
+        return replace(result, vibration_um_rms=MICRO * math.sqrt(self._band.mean_square))
 
 
 class StrokeMeter:
@@ -253,9 +342,7 @@ class StrokeMeter:
         first = int(np.searchsorted(way, ONSET))
         begin, end = np.searchsorted(time, self._span)
         steady = slice(max(first, int(begin)), int(end))
-        along = step[steady] @ self._axes.T
-        least = np.maximum(ACROSS * size[steady], STILL)[:, None]
-        against = np.where(np.abs(along) > least, -np.sign(along), 0.0)
+        against = drag_signs(step[steady], self._axes)
         self._commanded.add(commanded, steady, against)
         if played is not None:
             self._played.add(played, steady, against)

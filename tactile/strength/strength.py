@@ -22,12 +22,14 @@ from msgspec import structs
 from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.errors import InputError
-from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED
+from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED, Trajectory
 from tactile.rendering.limiter import Limiter
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.shear import CONTACT_FORCE
 from tactile.rendering.skin_stretch import STROKE_SHARE
 from tactile.strength.commanded import LineSpectrum, commanded_lines
+from tactile.strength.figures import ShearFigures, shear_figures
+from tactile.strength.friction import SteadyFriction, steady_duration, steady_friction
 from tactile.texture import perception
 from tactile.texture.surface import GOLDEN, Texture, without_friction
 
@@ -123,6 +125,51 @@ class SteadyStroke:
             texture, speed=self.speed, normal_force=self.normal_force, angle=self.angle
         )
 
+    def friction(self, display: Display, texture: Texture) -> SteadyFriction:
+        """Compute the shear that the friction of a texture commands in this stroke.
+
+        Parameters
+        ----------
+        display : Display
+            Display to play on.
+        texture : Texture
+            Texture to play.
+
+        Returns
+        -------
+        SteadyFriction
+            Mean and spectrum of the steady part.
+        """
+        line = Trajectory.line(
+            speed=self.speed, angle=self.angle, normal_force=self.normal_force,
+            duration=steady_duration(self.speed),
+        )  # fmt: skip
+        return steady_friction(display, texture.descriptor, line, SAMPLE_RATE)
+
+
+def conditions(display: Display, stroke: SteadyStroke, gain: float = 1.0) -> str:
+    """Describe the conditions for which figures are given.
+
+    Parameters
+    ----------
+    display : Display
+        Display that plays.
+    stroke : SteadyStroke
+        Stroke of the finger.
+    gain : float
+        Gain of the texture.
+
+    Returns
+    -------
+    str
+        Display, speed, force, direction unless it is along x, and gain.
+    """
+    turned = f", {np.degrees(stroke.angle):g}°" if stroke.angle else ""
+    return (
+        f"{display.name}, {stroke.speed * 1e3:g} mm/s, {stroke.normal_force:g} N{turned}, "
+        f"gain {gain:.3g}"
+    )
+
 
 @dataclass(frozen=True)
 class Reach:
@@ -166,6 +213,54 @@ class Reach:
         square = self.share @ self.transfer**2
         at = np.interp(lines.frequency, self.frequency, square, right=0.0)
         return LineSpectrum(lines.frequency, lines.power * at)
+
+    def projected(self, lines: LineSpectrum) -> LineSpectrum:
+        """Compute the spectrum that is commanded, as a mean over contactors.
+
+        Parameters
+        ----------
+        lines : LineSpectrum
+            Shear of the surface along the motion.
+
+        Returns
+        -------
+        LineSpectrum
+            The same, or less where shear is projected.
+        """
+        return LineSpectrum(lines.frequency, lines.power * self.share.sum())
+
+    def passed(self, frequency: Floats) -> Floats:
+        """Compute the factor from commanded to delivered shear, rms over contactors.
+
+        Parameters
+        ----------
+        frequency : (...) array of float
+            Frequencies [Hz].
+
+        Returns
+        -------
+        (...) array of float
+            Factor, 1 where the inverse is not bounded.
+        """
+        square = self.share @ self.transfer**2 / max(self.share.sum(), 1e-9)
+        return np.asarray(np.sqrt(np.interp(frequency, self.frequency, square, right=0.0)))
+
+    def held_drive(self, display: Display, shear: Floats) -> Floats:
+        """Compute the drive that holds a constant shear.
+
+        Parameters
+        ----------
+        display : Display
+            Display of the reach.
+        shear : (N,) array of float
+            Shear of each contactor [m].
+
+        Returns
+        -------
+        (N,) array of float
+            Drive [V].
+        """
+        return np.asarray(self.gain[display.kind, 0] * display.polarity * shear)
 
     def drive_rms(self, lines: LineSpectrum) -> float:
         """Compute the drive below the limits, over all contactors.
@@ -303,12 +398,15 @@ class Trial:
         Display that plays.
     drive : (K, S, N) array of float
         Drive of K strokes, without friction [V].
+    extremes : (2, N) array of float
+        Lowest and highest shear of each contactor in these strokes, without friction [m].
     room : float
         Part of the voltage limit that friction leaves free.
     """
 
     display: Display
     drive: Floats
+    extremes: Floats
     room: float = 1.0
 
     @property
@@ -326,6 +424,40 @@ class Trial:
         """Largest change of the drive from sample to sample [V]."""
         return float(np.abs(np.diff(self.drive, axis=1)).max())
 
+    def peak_shear(self, gain: float, friction: Floats) -> float:
+        """Compute the peak of the commanded shear.
+
+        Parameters
+        ----------
+        gain : float
+            Gain of the texture.
+        friction : (N,) array of float
+            Mean shear of friction at each contactor [m].
+
+        Returns
+        -------
+        float
+            Largest magnitude at any contactor [m].
+        """
+        return float(np.abs(gain * self.extremes + friction).max())
+
+    def peak_drive(self, gain: float, held: Floats) -> float:
+        """Compute the peak of the drive below the limits.
+
+        Parameters
+        ----------
+        gain : float
+            Gain of the texture.
+        held : (N,) array of float
+            Drive of each contactor that plays friction [V].
+
+        Returns
+        -------
+        float
+            Largest magnitude at any contactor [V].
+        """
+        return float(np.abs(gain * self.drive + held).max())
+
     @property
     def largest_gain(self) -> tuple[float, str]:
         """Gain at which a limit is reached, and the limit's name; very large without drive."""
@@ -335,33 +467,62 @@ class Trial:
         by_slew = self.display.slew / SAMPLE_RATE / max(self.step, 1e-30)
         return (by_voltage, "voltage") if by_voltage <= by_slew else (by_slew, slewing)
 
-    def limited(self, gain: float) -> tuple[float, float]:
+    def limited(self, gain: float, held: Floats) -> "Limited":
         """Measure how much the limiter takes at a gain.
 
         Parameters
         ----------
         gain : float
             Gain of the texture.
+        held : (N,) array of float
+            Drive of each contactor that plays friction [V].
 
         Returns
         -------
-        share : float
-            Part of the samples that the limiter turns down.
-        remaining : float
-            Part of the rms that is left.
+        Limited
+            What is limited, and what is left.
         """
         places, count, channels = self.drive.shape
         limiter = Limiter(
-            self.room * self.display.limits.voltage, self.display.slew / SAMPLE_RATE,
+            self.display.limits.voltage, self.display.slew / SAMPLE_RATE,
             sample_rate=SAMPLE_RATE, channels=channels,
         )  # fmt: skip
         from_end = np.minimum(np.arange(count), np.arange(count)[::-1]) / SAMPLE_RATE
         taper = np.sin(np.pi / 2 * np.minimum(from_end / TAPER, 1)) ** 2
-        target = gain * (self.drive * taper[:, None]).reshape(-1, channels)
-        padding = np.zeros((limiter.delay, channels))
-        played = limiter(np.concatenate([target, padding]))[limiter.delay :]
-        remaining = np.sqrt(np.mean(played**2) / max(float(np.mean(target**2)), 1e-30))
-        return min(limiter.limited_samples / (places * count), 1.0), float(min(remaining, 1.0))
+        vibration = gain * (self.drive * taper[:, None]).reshape(-1, channels)
+        target = vibration + held
+        played = limiter(np.pad(target, ((0, limiter.delay), (0, 0))))[limiter.delay :]
+        largest = np.abs(target).max(axis=1)
+        left = np.abs(played).max(axis=1) / np.maximum(largest, 1e-30)
+        square = np.sum(vibration**2, axis=1)
+        return Limited(
+            share=min(limiter.limited_samples / (places * count), 1.0),
+            vibration=float(np.sqrt(square @ left**2 / max(square.sum(), 1e-30))),
+            mean=float(left.mean()),
+            peak=float(np.abs(played).max() / max(largest.max(), 1e-30)),
+        )
+
+
+@dataclass(frozen=True)
+class Limited:
+    """Effect of the limiter on a trial.
+
+    Attributes
+    ----------
+    share : float
+        Part of the samples that are turned down.
+    vibration : float
+        Part of the rms of the texture that is left.
+    mean : float
+        Part of a constant that is left.
+    peak : float
+        Part of the peak that is left.
+    """
+
+    share: float
+    vibration: float
+    mean: float
+    peak: float
 
 
 def trial(display: Display, texture: Texture, stroke: SteadyStroke) -> Trial:
@@ -389,10 +550,14 @@ def trial(display: Display, texture: Texture, stroke: SteadyStroke) -> Trial:
     along = np.outer(np.arange(settling + count) * stroke.speed / SAMPLE_RATE, stroke.direction)
     start = SPREAD * (np.outer(np.arange(PLACES), [GOLDEN, GOLDEN**0.5]) % 1)
     place = (start[:, None] + along).reshape(-1, 2)
-    drive = renderer.block(place, np.full(len(place), stroke.normal_force))
-    strokes = drive.reshape(PLACES, settling + count, -1)[:, settling:]
+    force = np.full(len(place), stroke.normal_force)
+    drive, shear = (
+        both.reshape(PLACES, settling + count, -1)[:, settling:] / FAINT
+        for both in renderer.block(place, force, shear=True)
+    )
+    extremes = np.stack([shear.min(axis=(0, 1)), shear.max(axis=(0, 1))])
     room = 1.0 if texture.descriptor.friction is None else 1.0 - STROKE_SHARE
-    return Trial(display, strokes / FAINT, room)
+    return Trial(display, drive, extremes, room)
 
 
 @dataclass(frozen=True)
@@ -433,6 +598,10 @@ class Strength:
         Gain at which the texture is played.
     frequency : (B,) array of float
         Centers of the third octaves [Hz].
+    figures : ShearFigures
+        Figures of the commanded shear.
+    played_figures : ShearFigures
+        Figures of the played shear.
     commanded : (B,) array of float
         Commanded shear [m rms].
     attained : (B,) array of float
@@ -446,11 +615,11 @@ class Strength:
     channels : dict of str to float
         Level that each channel feels [dB SL].
     drive_rms : float
-        Drive over all contactors, without the limiter [V rms].
+        Drive over all contactors, with friction and without the limiter [V rms].
     drive_peak : float
-        Peak drive over all contactors, without the limiter [V].
+        Peak drive over all contactors, with friction and without the limiter [V].
     predicted_rms : float
-        Drive over all contactors in closed form [V rms].
+        Drive over all contactors in closed form, without friction [V rms].
     limited_share : float
         Part of the samples that the limiter turns down.
     automatic : Gain or None
@@ -459,6 +628,8 @@ class Strength:
 
     gain: float
     frequency: Floats
+    figures: ShearFigures
+    played_figures: ShearFigures
     commanded: Floats
     attained: Floats
     attainable: Floats
@@ -523,23 +694,69 @@ def texture_strength(
     stroke = stroke or SteadyStroke()
     lines, able = stroke.lines(texture), reach(display, stroke)
     measured = trial(display, texture, stroke)
-    share, remaining = measured.limited(gain)
-    commanded, played = lines.times(gain), able.delivered(lines).times(gain * remaining)
+    friction = stroke.friction(display, texture)
+    commanded = able.projected(lines).times(gain) + friction.lines
+    passed = able.passed(np.append(0.0, commanded.frequency))
+    held = able.held_drive(display, friction.shear)
+    limited = measured.limited(gain, held)
+    played = commanded.times(passed[1:] * limited.vibration)
+    drag, peak = friction.drag, measured.peak_shear(gain, friction.shear)
     return Strength(
         gain=gain,
         frequency=perception.CENTERS,
+        figures=shear_figures(commanded.frequency, commanded.power, drag=drag, peak=peak),
+        played_figures=shear_figures(
+            played.frequency,
+            played.power,
+            drag=drag * passed[0] * limited.mean,
+            peak=peak * limited.peak,
+        ),
         commanded=_band_rms(commanded),
         attained=_band_rms(played),
         attainable=able.least_attainable(perception.CENTERS),
         threshold=perception.detection_threshold(perception.CENTERS),
         level=perception.band_sensation(played.frequency, played.power),
         channels=perception.channel_sensation(played.frequency, played.power),
-        drive_rms=gain * measured.rms,
-        drive_peak=gain * measured.peak,
-        predicted_rms=able.drive_rms(commanded),
-        limited_share=share,
+        drive_rms=float(np.hypot(gain * measured.rms, np.sqrt(np.mean(held**2)))),
+        drive_peak=measured.peak_drive(gain, held),
+        predicted_rms=able.drive_rms(lines.times(gain)),
+        limited_share=limited.share,
         automatic=_largest(measured, able.delivered(lines), None),
     )
+
+
+def commanded_figures(
+    display: Display, texture: Texture, stroke: SteadyStroke | None = None
+) -> ShearFigures:
+    """Compute the figures of the shear that a texture commands, without rendering a stroke.
+
+    Parameters
+    ----------
+    display : Display
+        Display to play on.
+    texture : Texture
+        Texture to play.
+    stroke : SteadyStroke, optional
+        Stroke of the finger, by default 80 mm/s at 0.5 N along x.
+
+    Returns
+    -------
+    ShearFigures
+        Figures, those of `Strength.figures` without a peak.
+
+    Examples
+    --------
+    >>> import tactile
+    >>> from tactile.strength.strength import commanded_figures
+    >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
+    >>> figures = commanded_figures(display, texture)
+    >>> round(figures.vibration_um_rms, 1), round(figures.drag_um, 1), figures.sensation
+    (0.9, 6.9, 'felt: 14 dB above threshold at 250 Hz')
+    """
+    stroke = stroke or SteadyStroke()
+    friction = stroke.friction(display, texture)
+    lines = reach(display, stroke).projected(stroke.lines(texture)) + friction.lines
+    return shear_figures(lines.frequency, lines.power, drag=friction.drag)
 
 
 def _band_rms(lines: LineSpectrum) -> Floats:

@@ -4,8 +4,8 @@ The variance of skin displacement along a stroke is the sum over the three parts
 band, its density times its width; for a grating, half the square of each harmonic; for sparse
 events, see `event_power`. The displacement holds at the reference speed and force, before the
 low-pass of ``contact_length_mm``. What an isotropic surface adds below its lowest band is not
-counted. `tactile.show.views.texture_rms` gives the displacement of a realized surface at another
-speed and force, with both of these included.
+counted. `tactile.strength.strength.commanded_figures` gives the vibration of a stroke, from 20 to
+1000 Hz at any speed and force, with both of these included.
 """
 
 import math

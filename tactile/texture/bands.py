@@ -12,6 +12,25 @@ BELOW, ABOVE = 10**-0.05, 10**0.05
 """Lower and upper edge of a band, each divided by its center."""
 RELATIVE_WIDTH = ABOVE - BELOW
 """Width of a band divided by its center."""
+ROUNDED = np.array([1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8])
+"""Nominal centers of the bands of a decade (IEC 61260-1)."""
+
+
+def nominal_centers(center: Floats) -> Floats:
+    """Compute the rounded frequencies by which third-octave bands are named.
+
+    Parameters
+    ----------
+    center : (K,) array of float
+        Band centers, powers of 10^0.1.
+
+    Returns
+    -------
+    (K,) array of float
+        Nominal centers, such as 250 for 251.19.
+    """
+    decade, band = np.divmod(np.rint(10 * np.log10(center)).astype(int), 10)
+    return np.asarray(10.0**decade * ROUNDED[band])
 
 
 def third_octaves(center: Floats) -> Floats:

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
-from tactile.texture.bands import third_octaves
+from tactile.texture.bands import nominal_centers, third_octaves
 
 THRESHOLD = np.array(
     [
@@ -78,8 +78,8 @@ MICRO = 1e-6
 CENTERS = 10 ** (np.arange(32) / 10)
 """Centers of the third octaves 1 … 1000 Hz and of the one above, in which commanded shear ends (IEC
 61260) [Hz]."""
-NOMINAL = np.outer(10.0 ** np.arange(4), [1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8]).ravel()[:32]
-"""Names of these third octaves: their centers, rounded as IEC 61260 does [Hz]."""
+NOMINAL = nominal_centers(CENTERS)
+"""Nominal centers of these third octaves, by which they are named [Hz]."""
 EDGES = third_octaves(CENTERS)
 """Edges of the bands around `CENTERS` [Hz]."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tactile.show.plots.style import GRAY, axes_at, new_figure
 from tactile.show.plots.texture import DIVERGING, color_end, draw_spectrum
-from tactile.show.views import NORMAL_FORCE, TILE_SIDE, Tile
+from tactile.show.views import TILE_SIDE, Tile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,15 +31,15 @@ LEVELS = (0.01, 100.0)
 """Range of levels of a strip [µm]."""
 
 
-def sheet_figure(tiles: Sequence[Tile], *, speed: float) -> "Figure":
+def sheet_figure(tiles: Sequence[Tile], *, conditions: str) -> "Figure":
     """Draw a sheet of textures, sorted by category and name.
 
     Parameters
     ----------
     tiles : sequence of Tile
         Tiles from `tactile.show.views.tile`, in any order.
-    speed : float
-        Speed for which the tiles were computed [m/s].
+    conditions : str
+        Display and stroke for which the tiles were computed.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def sheet_figure(tiles: Sequence[Tile], *, speed: float) -> "Figure":
             continued = k > 0 and ordered[k - 1].category == tile.category
             _category(figure, left, top, count, tile.category, ends[tile.category], continued)
         _draw(figure, left, top - RULE - GAP, tile, ends[tile.category])
-    _legend(figure, speed)
+    _legend(figure, conditions)
     return figure
 
 
@@ -116,7 +116,10 @@ def _draw(figure: "Figure", left: float, top: float, one: Tile, end: float) -> N
     name = one.name.removeprefix(f"{one.category}-")
     size = 9 if len(name) <= 17 else 9 * 17 / len(name)
     _write(figure, left, top - TILE - 0.11, name, size)
-    _write(figure, left, top - TILE - 0.26, f"{one.rms * 1e6:.2g} µm rms", 8, color=GRAY)
+    felt = one.figures.level_db_sl
+    level = "" if felt is None else f", {felt:+.0f} dB".replace("-", "−")
+    text = f"{one.figures.vibration_um_rms:.2f} µm rms{level}"
+    _write(figure, left, top - TILE - 0.26, text, 8, color=GRAY)
     strip = axes_at(figure, left, top - TILE - 0.36 - STRIP, TILE, STRIP)
     draw_spectrum(strip, one.spectrum, bold=0.6)
     strip.set(xlim=BAND, ylim=LEVELS)
@@ -125,14 +128,15 @@ def _draw(figure: "Figure", left: float, top: float, one: Tile, end: float) -> N
         axes.spines[:].set(color="#999999", linewidth=0.5)
 
 
-def _legend(figure: "Figure", speed: float) -> None:
+def _legend(figure: "Figure", conditions: str) -> None:
     """Explain tiles and strips at the bottom of the figure."""
     side = TILE_SIDE * 1e3
     width = int((figure.get_figwidth() - 2 * MARGIN) * 14.5)
     text = (
-        f"Tiles: tangential displacement over {side:g} × {side:g} mm; red is shear along the "
-        f"stroke (left to right, {speed * 1e3:g} mm/s, {NORMAL_FORCE:g} N), blue against it; one "
-        "scale per category. Strips: peak of each third octave, "
+        f"Commanded on {conditions}. Numbers: vibration in 20–1000 Hz; sensation level of the "
+        "third octave farthest above threshold. Tiles: tangential displacement over "
+        f"{side:g} × {side:g} mm; red is shear along the stroke (left to right), blue against "
+        "it; one scale per category. Strips: peak of each third octave, "
         f"{LEVELS[0]:g} to {LEVELS[1]:g} µm over {BAND[0]:g} to {BAND[1]:g} Hz, both logarithmic: "
         "blue the surface, green sparse events, stems gratings, against the tangential "
         "detection threshold (dashed, gray)."

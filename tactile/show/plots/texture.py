@@ -70,9 +70,9 @@ def texture_figure(view: View) -> "Figure":
     figure.set_layout_engine("none")
     about = view.texture.descriptor.texture
     for inch, text, size in (
-        (0.40, f"{view.texture.name} on {view.display.name}", 15),
+        (0.40, f"{view.texture.name} on {view.conditions}", 15),
         (0.70, textwrap.shorten(about.description, 110, placeholder=" …"), 11),
-        (1.14, "\n".join(facts(view, 115)), 9),
+        (1.27, "\n".join(facts(view, 115)), 9),
     ):
         written = figure.text(0.08, 1 - inch / SIZE[1], text, fontsize=size, linespacing=1.4)
         written.set(weight="bold" if size == 15 else "normal", color=GRAY if size == 9 else "black")

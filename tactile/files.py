@@ -7,6 +7,7 @@ units.
 """
 
 import csv
+import io
 import math
 import re
 import tomllib
@@ -39,6 +40,24 @@ _NO_KEY = re.compile(
     r"""|"(?:\\.|[^"\\\n])*"?|'[^'\n]*'?|\#[^\n]*"""
 )
 """Pattern of the strings and comments of a TOML file, unterminated ones included."""
+
+
+class Source(msgspec.Struct, frozen=True):
+    """File that something was loaded from, with the tables that it refers to.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file.
+    text : str
+        Content of the file.
+    tables : dict of str to str
+        Content of each table, by the name that the file gives it.
+    """
+
+    name: str
+    text: str
+    tables: dict[str, str] = {}
 
 
 def shipped(kind: str) -> Path:
@@ -176,15 +195,14 @@ def read_text(path: Path) -> str:
     return text
 
 
-def _checked_depth(path: Path, text: str) -> str:
-    """Return TOML text after checking the length of its dotted keys.
+def _check_depth(path: Path, text: str) -> None:
+    """Raise InputError for TOML text with a dotted key of too many parts.
 
     The parser takes time that is quadratic in the number of parts of a key.
     """
     bare = re.sub(r"[ \t]", "", _NO_KEY.sub("s", text))
     if any(word.count(".") >= DEEPEST for word in re.split(r"[^\w.-]+", bare)):
         raise InputError(f"{path}: has a key of more than {DEEPEST} parts, the most that may be")
-    return text
 
 
 def read(
@@ -212,7 +230,41 @@ def read(
         If the file cannot be read, is not valid TOML, or does not fit the shape; the message gives
         file, field, value and limit.
     """
-    text = _checked_depth(path, read_text(path))
+    return parse(read_text(path), path, shape, adapt=adapt)
+
+
+def parse(
+    text: str,
+    path: Path,
+    shape: type[Shape],
+    *,
+    adapt: Callable[[dict[str, Any]], None] | None = None,
+) -> Shape:
+    """Parse the text of a TOML file into a Struct.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+    path : Path
+        File that the text comes from, for the message.
+    shape : type of msgspec.Struct
+        Shape of the content.
+    adapt : callable, optional
+        Function that changes the content of an older file to that of a present one.
+
+    Returns
+    -------
+    msgspec.Struct
+        Content, an instance of ``shape``.
+
+    Raises
+    ------
+    InputError
+        If the text is not valid TOML or does not fit the shape; the message gives file, field,
+        value and limit.
+    """
+    _check_depth(path, text)
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -331,6 +383,29 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Row]:
     InputError
         If the file cannot be read, is larger than `LARGEST_TABLE`, or lacks a column.
     """
+    return parse_columns(read_table(path), path, names)
+
+
+def read_table(path: Path) -> str:
+    """Read the text of a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file in UTF-8.
+
+    Returns
+    -------
+    str
+        Content of the file, with its line ends as they are.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such file.
+    InputError
+        If the file cannot be read or is larger than `LARGEST_TABLE`.
+    """
     if not is_file(path):
         raise NotFoundError(f"{path}: no such file")
     try:
@@ -339,16 +414,43 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[Row]:
                 f"{path}: is larger than {LARGEST_TABLE // 1024**2} MiB, the most that may be; "
                 "cut it into parts"
             )
-        with path.open(newline="", encoding="utf-8-sig") as lines:
-            reader = csv.DictReader(lines)
-            header = list(reader.fieldnames or [])
-            for name in names:
-                if name not in header:
-                    raise InputError(f"{path}: no column {name!r}; {nearest(name, header)}")
-            rows = [Row(reader.line_num, [row[name] for name in names]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return file.read()
+    except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    return rows
+
+
+def parse_columns(text: str, path: Path, names: tuple[str, ...]) -> list[Row]:
+    """Parse named columns of the text of a CSV file with a header.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+    path : Path
+        File that the text comes from, for the message.
+    names : tuple of str
+        Names of the columns.
+
+    Returns
+    -------
+    list of Row
+        One row for each line after the header.
+
+    Raises
+    ------
+    InputError
+        If the text is not valid CSV or lacks a column.
+    """
+    try:
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        header = list(reader.fieldnames or [])
+        for name in names:
+            if name not in header:
+                raise InputError(f"{path}: no column {name!r}; {nearest(name, header)}")
+        return [Row(reader.line_num, [row[name] for name in names]) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
 
 
 def numbers(path: Path, names: tuple[str, ...], rows: list[Row]) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ units. Contactors and channels are counted from 0.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -335,10 +336,84 @@ def load_display(
     >>> tactile.load_display("reference-24", load=tactile.FingerLoad.high()).load.k0
     4300.0
     """
+    return load_with_source(name_or_path, load=load)[0]
+
+
+def load_with_source(
+    name_or_path: str | Path, *, load: FingerLoad | FingerTable | None = None
+) -> tuple[Display, files.Source]:
+    """Load a display together with the texts of the files that describe it.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        As in `load_display`.
+    load : FingerLoad or FingerTable, optional
+        As in `load_display`; it is not part of the texts.
+
+    Returns
+    -------
+    display : Display
+        The display.
+    source : Source
+        Text of the display file, and of the measured responses that it uses.
+
+    Raises
+    ------
+    NotFoundError, InputError
+        As in `load_display`.
+    """
     path = files.find("displays", name_or_path)
-    content = files.read(path, DisplayFile)
+    source = files.Source(path.name, files.read_text(path), {})
+
+    def read(name: str) -> str:
+        source.tables[name] = files.read_table(path.parent / name)
+        return source.tables[name]
+
+    return _display(source.text, path, read, load), source
+
+
+def display_of(source: files.Source, folder: Path) -> Display:
+    """Build a display from the texts of its files.
+
+    Parameters
+    ----------
+    source : Source
+        Texts, as `load_with_source` returns them.
+    folder : Path
+        Folder of the file in error messages; no file is read.
+
+    Returns
+    -------
+    Display
+        The display.
+
+    Raises
+    ------
+    InputError
+        As in `load_display`, or if the text of a measured response is missing.
+    """
+    path = folder / source.name
+
+    def read(name: str) -> str:
+        if name not in source.tables:
+            raise InputError(f"{path}: the text of {name!r} is missing")
+        return source.tables[name]
+
+    return _display(source.text, path, read, None)
+
+
+def _display(
+    text: str, path: Path, read: Callable[[str], str], load: FingerLoad | FingerTable | None
+) -> Display:
+    """Return the display that a text describes; `read` returns the text of a table by its name."""
+    content = files.parse(text, path, DisplayFile)
+
+    def response(name: str) -> MeasuredResponse:
+        return _response(read(name), path.parent / name)
+
     try:
-        display = _build(content, path, load)
+        display = _build(content, response, load)
         _check_geometry(display)
     except InputError as error:
         if str(error).startswith(str(path.parent)):
@@ -349,10 +424,14 @@ def load_display(
     return display
 
 
-def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | None) -> Display:
+def _build(
+    content: DisplayFile,
+    response: Callable[[str], MeasuredResponse],
+    load: FingerLoad | FingerTable | None,
+) -> Display:
     """Return the display that a file describes."""
     contactors = contactors_of(content)
-    measured, kind = _measured(content, contactors, path)
+    measured, kind = _measured(content, contactors, response)
     return Display(
         name=content.display.id,
         contactors=np.array([c.position_mm for c in contactors]) * 1e-3,
@@ -361,7 +440,7 @@ def _build(content: DisplayFile, path: Path, load: FingerLoad | FingerTable | No
         channel=np.array([c.channel for c in contactors], np.intp),
         opening=(content.display.opening_mm[0] * 1e-3, content.display.opening_mm[1] * 1e-3),
         projected=content.display.shear_projection == "motion",
-        actuator=_actuator(content, path),
+        actuator=_actuator(content, response),
         load=_load(content.finger) if load is None else load,
         amplifier=_amplifier(content.amplifier),
         limits=_limits(content.limits),
@@ -399,12 +478,12 @@ def contactors_of(content: DisplayFile) -> tuple[Contactor, ...]:
     )
 
 
-def _actuator(content: DisplayFile, path: Path) -> Actuator:
+def _actuator(content: DisplayFile, response: Callable[[str], MeasuredResponse]) -> Actuator:
     coil = content.voice_coil
     if coil is None:
         return BimorphActuator(_bimorph(content.bimorph or BimorphTable()))
     return VoiceCoil(
-        measured=load_response(path.parent / coil.response).at,
+        measured=response(coil.response).at,
         resistance=coil.resistance_ohm,
         inductance=coil.inductance_mh * 1e-3,
         largest_current=min(coil.current_a, _limits(content.limits).current),
@@ -493,7 +572,9 @@ def _limits(table: LimitsTable) -> DriveLimits:
 
 
 def _measured(
-    content: DisplayFile, contactors: tuple[Contactor, ...], path: Path
+    content: DisplayFile,
+    contactors: tuple[Contactor, ...],
+    response: Callable[[str], MeasuredResponse],
 ) -> tuple[tuple[MeasuredResponse, ...], NDArray[np.intp]]:
     """Return the measured responses, and the index of each contactor's own, from 1 (0: none)."""
     responses: list[str | None] = [c.response for c in contactors]
@@ -506,7 +587,7 @@ def _measured(
                 responses[member] = group.response
     names = sorted({name for name in responses if name is not None})
     kind = [0 if name is None else names.index(name) + 1 for name in responses]
-    return tuple(load_response(path.parent / name) for name in names), np.array(kind, np.intp)
+    return tuple(response(name) for name in names), np.array(kind, np.intp)
 
 
 def load_response(path: str | Path) -> MeasuredResponse:
@@ -529,8 +610,12 @@ def load_response(path: str | Path) -> MeasuredResponse:
     InputError
         If the file is not valid; the message gives file, field, value and limit in one line.
     """
-    path = Path(path)
-    rows = files.read_columns(path, COLUMNS)
+    return _response(files.read_table(Path(path)), Path(path))
+
+
+def _response(text: str, path: Path) -> MeasuredResponse:
+    """Return the measured response that the text of a CSV file gives."""
+    rows = files.parse_columns(text, path, COLUMNS)
     values = files.numbers(path, COLUMNS[:3], rows)
     for row in rows:
         if row.cells[3] not in UNITS:

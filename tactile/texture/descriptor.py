@@ -351,7 +351,30 @@ def load(name_or_path: str | Path) -> Descriptor:
         If the file is invalid. The message is one line with the file, field, value and limit.
     """
     path = files.find("textures", name_or_path)
-    descriptor = files.read(path, Descriptor, adapt=_rename_license)
+    return parse(files.read_text(path), path)
+
+
+def parse(text: str, path: Path) -> Descriptor:
+    """Parse the text of a texture file.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+    path : Path
+        File that the text comes from, whose name must be the texture's ``id``.
+
+    Returns
+    -------
+    Descriptor
+        Texture that the text describes.
+
+    Raises
+    ------
+    InputError
+        If the text is invalid. The message is one line with the file, field, value and limit.
+    """
+    descriptor = files.parse(text, path, Descriptor, adapt=_rename_license)
     if descriptor.texture.id != path.stem:
         raise InputError(
             f"{path}: texture.id = {descriptor.texture.id!r}: "

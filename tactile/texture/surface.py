@@ -25,12 +25,15 @@ from scipy.special import ndtri
 
 from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
+from tactile.files import Source, find, read_text
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import BANDS, Descriptor, Events, Laws, Periodic, Stochastic
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 """Golden ratio less one, which spreads the directions of waves evenly."""
+PARTIALS = 384
+"""Number of plane waves of a texture unless another is given."""
 DIRECTIONS = 72
 """Number of stroke directions in which the bands of an isotropic surface are fitted, 2.5° apart."""
 NEARNESS = 0.05
@@ -259,7 +262,7 @@ class Texture:
         )
 
 
-def load_texture(name_or_path: str | Path, *, partials: int = 384) -> Texture:
+def load_texture(name_or_path: str | Path, *, partials: int = PARTIALS) -> Texture:
     """Load a texture and fit plane waves to its bands.
 
     Parameters
@@ -288,14 +291,67 @@ def load_texture(name_or_path: str | Path, *, partials: int = 384) -> Texture:
     >>> tactile.load_texture("wood-oak", partials=200).amplitude.shape
     (200,)
     """
-    descriptor = descriptors.load(name_or_path)
+    return _fitted(descriptors.load(name_or_path), partials, str(name_or_path))
+
+
+def load_with_source(name_or_path: str | Path) -> tuple[Texture, Source]:
+    """Load a texture together with the text of the file that describes it.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        As in `load_texture`.
+
+    Returns
+    -------
+    texture : Texture
+        The texture.
+    source : Source
+        Text of its file.
+
+    Raises
+    ------
+    NotFoundError, InputError
+        As in `load_texture`.
+    """
+    path = find("textures", name_or_path)
+    source = Source(path.name, read_text(path))
+    return texture_of(source, path.parent), source
+
+
+def texture_of(source: Source, folder: Path) -> Texture:
+    """Build a texture from the text of its file.
+
+    Parameters
+    ----------
+    source : Source
+        Text, as `load_with_source` returns it.
+    folder : Path
+        Folder of the file in error messages; no file is read.
+
+    Returns
+    -------
+    Texture
+        The texture.
+
+    Raises
+    ------
+    InputError
+        As in `load_texture`.
+    """
+    path = folder / source.name
+    return _fitted(descriptors.parse(source.text, path), PARTIALS, str(path))
+
+
+def _fitted(descriptor: Descriptor, partials: int, name: str) -> Texture:
+    """Return a descriptor with the plane waves that are fitted to it."""
     grating_waves = sum(
         len(p.harmonics_um) * (JITTER_LINES if p.jitter else 1) for p in descriptor.periodic
     )
     stochastic, remaining = descriptor.stochastic, partials - grating_waves
     if remaining < (8 * BANDS if stochastic else 0):
         raise InputError(
-            f"{name_or_path}: partials = {partials}: needs {grating_waves} for its gratings"
+            f"{name}: partials = {partials}: needs {grating_waves} for its gratings"
             + (f" and at least {8 * BANDS} for its bands" if stochastic else "")
         )
     fitted_waves = stochastic_waves(stochastic, remaining) if stochastic else _no_waves()

@@ -42,7 +42,7 @@ _NO_KEY = re.compile(
 """Pattern of the strings and comments of a TOML file, unterminated ones included."""
 
 
-class Source(msgspec.Struct, frozen=True):
+class SourceFile(msgspec.Struct, frozen=True):
     """File that something was loaded from, with the tables that it refers to.
 
     Attributes

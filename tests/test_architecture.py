@@ -42,8 +42,8 @@ MAP: dict[str, set[str]] = {
     "devices": {"bus", "sim"},
     "estop": {"clock", "paths", "processes"},
     "playback": {
-        "bus", "clock", "devices", "display", "estop", "messages", "paths", "processes",
-        "rendering", "sim", "strength", "texture", "tracking",
+        "bus", "clock", "devices", "display", "estop", "files", "messages", "paths",
+        "processes", "rendering", "sim", "strength", "texture", "tracking",
     },
     "bringup": {"actuator", "bus", "devices", "display", "playback"},
     "server": {

@@ -32,6 +32,9 @@ def test_play_writes_a_recording_with_exactly_these_arrays(command: Command) -> 
         "position_mm": (800, 2),
         "sample_rate_hz": (),
         "contactors_mm": (24, 2),
+        "path_time_s": (2,),
+        "path_position_m": (2, 2),
+        "path_normal_force_n": (2,),
     }
     assert all(np.all(np.isfinite(array)) for array in r.values())
     assert os.listdir() == ["oak.npz"]

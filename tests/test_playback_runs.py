@@ -109,6 +109,7 @@ def test_under_ci_a_missing_slide_is_a_failure_elsewhere_it_is_skipped(
 
 KEYS = {
     "drive_v", "shear_target_m", "time_s", "position_mm", "sample_rate_hz", "contactors_mm",
+    "path_time_s", "path_position_m", "path_normal_force_n",
 }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from display_files import FINGER, GRID, HEAD, LIMITS
 from tactile.display import display as displays
 from tactile.display.display import Display, display_of, load_display
 from tactile.errors import InputError
-from tactile.files import Source
+from tactile.files import SourceFile
 from tactile.texture import surface
 from tactile.texture.surface import load_texture, texture_of
 
@@ -67,12 +67,12 @@ def test_a_display_is_built_from_its_texts_after_its_files_are_gone(tmp_path: Pa
 def test_a_text_that_is_missing_or_wrong_is_one_line(tmp_path: Path) -> None:
     _, source = displays.load_with_source(measured_display(tmp_path))
     with pytest.raises(InputError, match=r"^r\.h5/sample\.toml: the text of .* is missing$"):
-        display_of(Source(source.name, source.text), Path("r.h5"))
+        display_of(SourceFile(source.name, source.text), Path("r.h5"))
     tables = source.tables | {"own.csv": "frequency_hz,magnitude,phase_deg,unit\n10,x,0,um/V\n"}
     with pytest.raises(InputError, match=r"^r\.h5/own\.csv: line 2: magnitude = 'x'"):
-        display_of(Source(source.name, source.text, tables), Path("r.h5"))
+        display_of(SourceFile(source.name, source.text, tables), Path("r.h5"))
     with pytest.raises(InputError, match=r"^r\.h5/sample\.toml: not valid TOML"):
-        display_of(Source(source.name, "[display", {}), Path("r.h5"))
+        display_of(SourceFile(source.name, "[display", {}), Path("r.h5"))
 
 
 def test_the_actuator_of_a_voice_coil_is_among_the_texts(tmp_path: Path) -> None:
@@ -94,6 +94,6 @@ def test_a_texture_is_built_from_its_text_as_from_its_file() -> None:
         assert texture.descriptor == original.descriptor
         assert texture.wave_vector.tobytes() == original.wave_vector.tobytes()
         assert texture.amplitude.tobytes() == original.amplitude.tobytes()
-    renamed = Source("other.toml", source.text)
+    renamed = SourceFile("other.toml", source.text)
     with pytest.raises(InputError, match=r"^r\.h5/other\.toml: texture\.id = 'wood-oak'"):
         texture_of(renamed, Path("r.h5"))

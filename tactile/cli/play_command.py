@@ -72,7 +72,10 @@ def run(
     ] = "1",
     record: Annotated[
         Path | None,
-        typer.Option(help="Write the drive voltages and the shear to this NumPy file (.npz)."),
+        typer.Option(
+            help="Write the drive voltages, the shear and all that they were rendered from to this "
+            "HDF5 (.h5) or NumPy file (.npz); tactile replay renders it again."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random surface.")] = 0,
     sample_rate_hz: Annotated[
@@ -99,9 +102,12 @@ def run(
     the link was down at its end or it was ended by an e-stop or a fault, 2 if it could not begin,
     and 130 after Ctrl-C, which ramps to 0 V.
 
-    Example: tactile play wood-oak --speed-mm-s 80 --seconds 5 --record oak.npz
+    Example: tactile play wood-oak --speed-mm-s 80 --seconds 5 --record oak.h5
     """
+    from tactile.display.display import load_with_source as load_display
     from tactile.playback import runs
+    from tactile.playback.origin import Sources
+    from tactile.texture.surface import load_with_source as load_texture
 
     stroke = {
         "--speed-mm-s": speed_mm_s,
@@ -112,7 +118,8 @@ def run(
     trajectory = _trajectory(path, stroke)
     within("--sample-rate-hz", sample_rate_hz, 2500, 200000, 8000)
     allowed = _percent(allow_loss)
-    loaded, surface = tactile.load_display(display), tactile.load_texture(texture)
+    loaded, display_source = load_display(display)
+    surface, texture_source = load_texture(texture)
     factor = _gain(gain, loaded, surface, stroke, path)
     watched = sys.stdout.isatty() and not (quiet or as_json)
     live, watch = (
@@ -122,7 +129,8 @@ def run(
         summary = runs.run(
             loaded, surface, trajectory,
             device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
-            watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
+            sources=Sources(display_source, texture_source), watch=watch, realtime=watched,
+            accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json or not quiet:
         title = _title(summary.outcome, surface.descriptor.texture.description)

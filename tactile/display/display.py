@@ -341,7 +341,7 @@ def load_display(
 
 def load_with_source(
     name_or_path: str | Path, *, load: FingerLoad | FingerTable | None = None
-) -> tuple[Display, files.Source]:
+) -> tuple[Display, files.SourceFile]:
     """Load a display together with the texts of the files that describe it.
 
     Parameters
@@ -355,7 +355,7 @@ def load_with_source(
     -------
     display : Display
         The display.
-    source : Source
+    source : SourceFile
         Text of the display file, and of the measured responses that it uses.
 
     Raises
@@ -364,7 +364,7 @@ def load_with_source(
         As in `load_display`.
     """
     path = files.find("displays", name_or_path)
-    source = files.Source(path.name, files.read_text(path), {})
+    source = files.SourceFile(path.name, files.read_text(path), {})
 
     def read(name: str) -> str:
         source.tables[name] = files.read_table(path.parent / name)
@@ -373,12 +373,12 @@ def load_with_source(
     return _display(source.text, path, read, load), source
 
 
-def display_of(source: files.Source, folder: Path) -> Display:
+def display_of(source: files.SourceFile, folder: Path) -> Display:
     """Build a display from the texts of its files.
 
     Parameters
     ----------
-    source : Source
+    source : SourceFile
         Texts, as `load_with_source` returns them.
     folder : Path
         Folder of the file in error messages; no file is read.

@@ -6,7 +6,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tactile.arrays import Floats
 from tactile.bus.base import Bus, BusStatus
@@ -15,8 +17,15 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 from tactile.playback.estop_guard import guarded
+from tactile.playback.origin import (
+    Provenance,
+    Sources,
+    counts_of,
+    limits_of,
+    present_versions,
+)
 from tactile.playback.outcome import Ending, Outcome, outcome_of, share_put_out
-from tactile.playback.recording import Recorder
+from tactile.playback.recording import Recorder, checked_suffix
 from tactile.playback.trajectory_playback import PlayedBlock, frames_of, play, play_frames
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
@@ -128,18 +137,14 @@ class _Run:
         bus: Bus,
         rate: float,
         delay: int,
-        record: Path | None,
+        recorder: Recorder | None,
         display: Display,
         trajectory: Trajectory,
     ) -> None:
         self.summary, self._bus, self._rate = summary, bus, rate
         self._simulated = bus if isinstance(bus, SimulatedDisplay) else None
-        self._recorder: Recorder | None = None
-        if record is not None:
-            self._recorder = Recorder(
-                record, sample_rate_hz=rate, contactors_mm=display.contactors * 1e3
-            )
-            summary.recording = str(record)
+        self._recorder = recorder
+        self._unbroken = True
         self._fidelity = Fidelity(rate)
         begin, end, fade = trajectory.time[0], trajectory.time[-1], display.limits.fade
         self._meter = StrokeMeter(display, rate, begin + fade, end - fade)
@@ -230,20 +235,36 @@ class _Run:
 
         planned = round(trajectory.duration * self._rate)
         with self._recorder if self._recorder is not None else nullcontext():
+            if self._recorder is not None:
+                simulated = self._simulated is not None
+                self._recorder.add(**_no_rows(len(display.contactors), simulated=simulated))
             self.summary.outcome, error = _follow(stroke, self._bus, planned, delay=renderer.delay)
             if self._simulated is not None:
                 self._simulated.settle()
             self._write(None)
+            self._describe()
         self._finish(renderer)
         if error is not None:
             raise error
 
     def _write(self, block: PlayedBlock | None) -> None:
-        """Record the blocks that are complete by now."""
+        """Record the blocks that are complete by now, but none after one that was interrupted."""
+        if not self._unbroken:
+            return
+        self._unbroken = False
         for played, shear in self.paired(block):
             self._meter.add(played.time, played.position, played.shear, shear)
             if self._recorder is not None:
                 self._recorder.add(**_rows(played, shear))
+        self._unbroken = True
+
+    def _describe(self) -> None:
+        """Complete the provenance of the recording."""
+        if self._recorder is not None and self._recorder.provenance is not None:
+            self._recorder.provenance = msgspec.structs.replace(
+                self._recorder.provenance,
+                outcome=self.summary.outcome, counters=counts_of(self._bus.counters),
+            )  # fmt: skip
 
     def _finish(self, renderer: Renderer) -> None:
         """Complete the summary."""
@@ -271,6 +292,7 @@ def run(
     sample_rate: float | None = None,
     seed: int = 0,
     record: Path | None = None,
+    sources: Sources | None = None,
     watch: Callable[[PlayedBlock, Renderer], None] | None = None,
     realtime: bool = False,
     accept_unsafe_hold: bool = False,
@@ -294,8 +316,11 @@ def run(
     seed : int
         Seed of the surface's realization.
     record : Path, optional
-        ``.npz`` file to write, with drive_v, shear_target_m, time_s, position_mm, sample_rate_hz,
-        contactors_mm and, from a simulated display, shear_played_m.
+        ``.h5``, ``.hdf5`` or ``.npz`` file to write, with drive_v, shear_target_m, time_s,
+        position_mm, sample_rate_hz, contactors_mm, the path of the finger and, from a simulated
+        display, shear_played_m.
+    sources : Sources, optional
+        Files that display and texture were loaded from, for the recording.
     watch : callable, optional
         Function that is called with each block and the renderer; not called if the device takes
         spectrum frames.
@@ -315,6 +340,8 @@ def run(
         If the device or a file cannot be used. A failure of the device or Ctrl-C in the middle of
         the stroke ends it: the recording is kept, and the outcome says how much was put out.
     """
+    if record is not None:
+        checked_suffix(record)  # before the device is opened
     summary = Summary(
         texture.name, display.name, device, gain=gain, voltage_limit_v=display.limits.voltage
     )
@@ -325,12 +352,15 @@ def run(
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
         try:
-            with guarded(bus, device):
+            with guarded(bus, device), threadpool_limits(1):  # whose number changes the last bits
                 if bus.frames is not None:
                     _play_frames(summary, display, texture, trajectory, bus, seed, record)
                 else:
                     renderer = Renderer(display, texture, sample_rate=rate, seed=seed)
-                    account = _Run(summary, bus, rate, renderer.delay, record, display, trajectory)
+                    recorder = _recorder(summary, display, trajectory, seed, record, sources)
+                    account = _Run(
+                        summary, bus, rate, renderer.delay, recorder, display, trajectory
+                    )
                     account.play(display, renderer, trajectory, watch, realtime=realtime)
         except BusError as error:  # after `guarded` has latched the e-stop of an amplifier
             if not bus.next_position:
@@ -402,6 +432,47 @@ def _play_frames(
     summary.invalid_samples = renderer.invalid_frames
     if error is not None:
         raise error
+
+
+def _recorder(
+    summary: Summary,
+    display: Display,
+    trajectory: Trajectory,
+    seed: int,
+    record: Path | None,
+    sources: Sources | None,
+) -> Recorder | None:
+    """Return the recorder of a run, if one was requested."""
+    if record is None:
+        return None
+    recorder = Recorder(
+        record,
+        sample_rate_hz=summary.sample_rate_hz,
+        contactors_mm=display.contactors * 1e3,
+        path_time_s=trajectory.time,
+        path_position_m=trajectory.position,
+        path_normal_force_n=trajectory.normal_force,
+    )
+    recorder.provenance = Provenance(
+        texture=summary.texture,
+        display=summary.display,
+        device=summary.device,
+        gain=summary.gain,
+        seed=seed,
+        sample_rate_hz=summary.sample_rate_hz,
+        limits=limits_of(display.limits),
+        versions=present_versions(),
+        sources=sources,
+    )
+    summary.recording = str(record)
+    return recorder
+
+
+def _no_rows(contactors: int, *, simulated: bool) -> dict[str, Floats]:
+    """Return empty arrays of a recording, which has them even if nothing is added to it."""
+    none = np.zeros((0, contactors))
+    block = PlayedBlock(np.zeros(0), np.zeros((0, 2)), np.zeros(0), none, none, 0.0)
+    return _rows(block, none if simulated else None)
 
 
 def _rows(block: PlayedBlock, skin_shear: Floats | None) -> dict[str, Floats]:

@@ -25,7 +25,7 @@ from scipy.special import ndtri
 
 from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
-from tactile.files import Source, find, read_text
+from tactile.files import SourceFile, find, read_text
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import BANDS, Descriptor, Events, Laws, Periodic, Stochastic
@@ -294,7 +294,7 @@ def load_texture(name_or_path: str | Path, *, partials: int = PARTIALS) -> Textu
     return _fitted(descriptors.load(name_or_path), partials, str(name_or_path))
 
 
-def load_with_source(name_or_path: str | Path) -> tuple[Texture, Source]:
+def load_with_source(name_or_path: str | Path) -> tuple[Texture, SourceFile]:
     """Load a texture together with the text of the file that describes it.
 
     Parameters
@@ -306,7 +306,7 @@ def load_with_source(name_or_path: str | Path) -> tuple[Texture, Source]:
     -------
     texture : Texture
         The texture.
-    source : Source
+    source : SourceFile
         Text of its file.
 
     Raises
@@ -315,16 +315,16 @@ def load_with_source(name_or_path: str | Path) -> tuple[Texture, Source]:
         As in `load_texture`.
     """
     path = find("textures", name_or_path)
-    source = Source(path.name, read_text(path))
+    source = SourceFile(path.name, read_text(path))
     return texture_of(source, path.parent), source
 
 
-def texture_of(source: Source, folder: Path) -> Texture:
+def texture_of(source: SourceFile, folder: Path) -> Texture:
     """Build a texture from the text of its file.
 
     Parameters
     ----------
-    source : Source
+    source : SourceFile
         Text, as `load_with_source` returns it.
     folder : Path
         Folder of the file in error messages; no file is read.

@@ -239,12 +239,13 @@ def test_rows_whose_writing_was_interrupted_are_not_recorded(
 
         monkeypatch.setattr(Recorder, "_append", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            recorder.add(first=np.full(9, 7.0), second=np.full((9, 3), 7.0))
+            recorder.add(first=np.full(2000, 7.0), second=np.full((2000, 3), 7.0))
         monkeypatch.undo()
         recorder.add(first=np.ones(1), second=np.ones((1, 3)))
     found = recorded(target)
     assert_same(found["first"], np.array([0.0, 0.0, 1.0]))
     assert_same(found["second"], np.repeat([[0.0], [0.0], [1.0]], 3, axis=1))
+    assert target.stat().st_size < 10_000, "12 numbers, and none of the 8000 others"
 
 
 # Memory

@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from tactile.errors import TactileError as TactileError
     from tactile.local import open_display as open_display
     from tactile.playback.estop_guard import guarded as guarded
+    from tactile.playback.recording_reader import Recording as Recording
+    from tactile.playback.recording_reader import load_recording as load_recording
     from tactile.rendering.contact import Trajectory as Trajectory
     from tactile.rendering.renderer import Renderer as Renderer
     from tactile.rendering.renderer import Rendering as Rendering
@@ -100,6 +102,7 @@ _HOMES = {
     ),
     "local": ("open_display",),
     "playback.estop_guard": ("guarded",),
+    "playback.recording_reader": ("Recording", "load_recording"),
     "rendering.contact": ("Trajectory",),
     "rendering.renderer": ("Renderer", "Rendering", "render"),
     "rendering.spectrum": ("SpectrumRenderer",),

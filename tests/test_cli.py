@@ -197,7 +197,7 @@ def test_bench_says_that_a_device_without_the_protocol_has_no_round_trip(command
 
 
 GROUPS = {
-    "Play and inspect textures": ["play", "sheet", "show", "strength", "textures"],
+    "Play and inspect textures": ["play", "replay", "sheet", "show", "strength", "textures"],
     "Create and convert textures": ["convert", "fit", "relief"],
     "Design displays": ["adjust", "materials", "optimize", "paper", "response", "study"],
     "Use devices": ["bench", "budget", "check", "devices"],

@@ -30,6 +30,7 @@ class CommandEntry(NamedTuple):
 
 COMMANDS = {
     "play": CommandEntry(PLAY, "Play a texture under a moving finger."),
+    "replay": CommandEntry(PLAY, "Render a recording again and compare it bit for bit."),
     "sheet": CommandEntry(PLAY, "Draw an overview of the shipped textures."),
     "show": CommandEntry(PLAY, "Show the surface and the spectrum of a texture."),
     "strength": CommandEntry(PLAY, "Report how strongly a texture is felt on a display."),

@@ -8,6 +8,7 @@ import math
 import platform
 from dataclasses import fields
 from importlib.metadata import PackageNotFoundError, version
+from typing import Annotated
 
 import msgspec
 from threadpoolctl import threadpool_info
@@ -70,8 +71,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     display: str
     device: str
     gain: float
-    seed: int
-    sample_rate_hz: float
+    seed: Annotated[int, msgspec.Meta(ge=0)]
+    sample_rate_hz: Annotated[float, msgspec.Meta(gt=0)]
     limits: dict[str, float | None]
     versions: dict[str, str]
     sources: Sources | None

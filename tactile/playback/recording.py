@@ -56,12 +56,12 @@ def unit_of(name: str) -> str:
     return UNITS.get(name.rpartition("_")[2], "")
 
 
-def checked_suffix(path: Path) -> str:
+def checked_suffix(path: str | Path) -> str:
     """Return the suffix of a recording, which decides on its kind.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         File of the recording.
 
     Returns
@@ -74,6 +74,7 @@ def checked_suffix(path: Path) -> str:
     InputError
         If no recording has that suffix, or the path is a folder.
     """
+    path = Path(path)
     try:
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give the name of a file")

@@ -291,7 +291,7 @@ def run(
     gain: float = 1.0,
     sample_rate: float | None = None,
     seed: int = 0,
-    record: Path | None = None,
+    record: str | Path | None = None,
     sources: Sources | None = None,
     watch: Callable[[PlayedBlock, Renderer], None] | None = None,
     realtime: bool = False,
@@ -315,7 +315,7 @@ def run(
         Sample rate of the drive, by default the choice of the device [Hz].
     seed : int
         Seed of the surface's realization.
-    record : Path, optional
+    record : str or Path, optional
         ``.h5``, ``.hdf5`` or ``.npz`` file to write, with drive_v, shear_target_m, time_s,
         position_mm, sample_rate_hz, contactors_mm, the path of the finger and, from a simulated
         display, shear_played_m.
@@ -407,7 +407,7 @@ def _play_frames(
     trajectory: Trajectory,
     bus: Bus,
     seed: int,
-    record: Path | None,
+    record: str | Path | None,
 ) -> None:
     """Play on a link that takes spectrum frames, and complete the summary."""
     assert bus.frames is not None
@@ -439,7 +439,7 @@ def _recorder(
     display: Display,
     trajectory: Trajectory,
     seed: int,
-    record: Path | None,
+    record: str | Path | None,
     sources: Sources | None,
 ) -> Recorder | None:
     """Return the recorder of a run, if one was requested."""

@@ -90,22 +90,14 @@ def play(
     BusError
         If the bus fails; its ``with`` block then aborts the stream.
     """
-    fade = round(display.limits.fade * sample_rate)
-    last = round(trajectory.duration * sample_rate) - fade
-    renderer.fade_in()
     start_time, sent = 0.0, 0
-    delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
-    for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
-        if sent == max(last, 0):
-            renderer.fade_out()
-        drive, shear = renderer.block(position, normal_force, shear=True)
+    for drive, played in rendered(display, renderer, trajectory, sample_rate=sample_rate):
         if not sent:  # the first block takes longest
             bus.start()
             start_time = 0.0 if clock is None else clock.now()
         bus.write(DriveBlock(sent, display.to_channels(drive)))
         _check_estop(bus)
         sent += len(drive)
-        played = delayed(position, normal_force, drive, shear)
         if played is not None:
             listen(played)
         if clock is not None and not bus.paced:
@@ -113,6 +105,43 @@ def play(
     status = bus.status
     bus.stop()
     return status
+
+
+def rendered(
+    display: Display, renderer: Renderer, trajectory: Trajectory, *, sample_rate: float
+) -> Iterator[tuple[Floats, PlayedBlock | None]]:
+    """Yield the drive of a trajectory block by block, faded in and out.
+
+    Parameters
+    ----------
+    display : Display
+        Display to render for.
+    renderer : Renderer
+        Renderer with the texture.
+    trajectory : Trajectory
+        Path of the finger.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+
+    Yields
+    ------
+    drive : (S, N) array of float
+        Drive of each contactor [V].
+    played : PlayedBlock or None
+        Samples that this drive completes, without the delay of the renderer; None if there are
+        none.
+    """
+    fade = round(display.limits.fade * sample_rate)
+    last = round(trajectory.duration * sample_rate) - fade
+    renderer.fade_in()
+    sent = 0
+    delayed = _Delayed(trajectory.time[0], sample_rate, renderer.delay)
+    for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
+        if sent == max(last, 0):
+            renderer.fade_out()
+        drive, shear = renderer.block(position, normal_force, shear=True)
+        sent += len(drive)
+        yield drive, delayed(position, normal_force, drive, shear)
 
 
 def frames_of(trajectory: Trajectory, sample_rate: float, spacing: int) -> int:

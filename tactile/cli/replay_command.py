@@ -27,7 +27,7 @@ def run(
     from tactile.playback.replaying import replay
 
     result = replay(file)
-    emit(result.as_dict(), as_json, lambda _: typer.echo(_compared(result)))
+    emit(result.as_dict(), as_json, lambda _: print(_compared(result)))
     if not result.is_identical:
         print(f"tactile: {file}: {_difference(result)}", file=sys.stderr)
         raise typer.Exit(1)

@@ -47,8 +47,6 @@ UM = 1e6
 """Micrometers per meter."""
 SPEED_MM_S, FORCE_N = 40.0, 0.5
 """Reference speed [mm/s] and normal force [N] of the descriptor."""
-SPEED_RANGE = 10.0, 240.0
-"""Range of the speed law, as in the shipped textures [mm/s]."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +139,7 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
             reference=Reference(speed_mm_s=SPEED_MM_S, normal_force_n=FORCE_N),
             stochastic=stochastic,
             periodic=periodic,
-            laws=Laws(speed_exponent=-1.0, speed_range_mm_s=SPEED_RANGE, force_exponent=0.4),
+            laws=Laws(speed_exponent=-1.0, force_exponent=0.4),
         ),
         comments=_comments(stochastic, periodic, relief),
         roughness_um=float(np.mean(np.abs(height))) * UM,
@@ -289,7 +287,6 @@ def _comments(
         "reference.speed_mm_s": "of the reference skin spectrum that the model is held against",
         "reference.normal_force_n": "assumed",
         "laws.speed_exponent": "fabrics [Fradin 2023]; that it holds here is assumed",
-        "laws.speed_range_mm_s": "beyond those recordings, 20-60 mm/s, by 2 and 4 times (assumed)",
         "laws.force_exponent": "assumed",
     }
     if stochastic is not None:

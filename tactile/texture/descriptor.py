@@ -217,7 +217,7 @@ class Laws(_Part, frozen=True, kw_only=True):
         The amplitude is proportional to (speed ÷ reference speed) to this power.
     speed_range_mm_s : tuple of float
         Range of speeds within which that holds; outside it the amplitude is held. It reaches beyond
-        the speeds that were recorded: four times in fits, from 20–60 to 16–240 mm/s in the shipped
+        the speeds that were recorded: four times in fits, from 20–60 to 20–240 mm/s in the shipped
         textures.
     force_exponent : float
         The amplitude is proportional to (force ÷ reference force) to this power.
@@ -229,7 +229,7 @@ class Laws(_Part, frozen=True, kw_only=True):
     """
 
     speed_exponent: Exponent = 0.0
-    speed_range_mm_s: tuple[Speed, Speed] = (16.0, 240.0)
+    speed_range_mm_s: tuple[Speed, Speed] = (20.0, 240.0)
     force_exponent: Exponent = 0.0
     force_range_n: tuple[Force, Force] = (0.2, 2.0)
     contact_length_mm: Annotated[float, Meta(ge=0, le=20)] = 0.0

@@ -5,7 +5,7 @@ import sys
 from contextlib import nullcontext, suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -66,8 +66,8 @@ def run(
     gain: Annotated[
         str,
         typer.Option(
-            help="Factor that multiplies the texture, or auto for the largest one that the display "
-            "can play."
+            help="Factor that multiplies the texture, or auto for the largest one at which the "
+            "stroke stays within the limits of the display."
         ),
     ] = "1",
     record: Annotated[
@@ -120,7 +120,7 @@ def run(
     allowed = _percent(allow_loss)
     loaded, display_source = load_display(display)
     surface, texture_source = load_texture(texture)
-    factor = _gain(gain, loaded, surface, stroke, path)
+    factor = _gain(gain)
     watched = sys.stdout.isatty() and not (quiet or as_json)
     live, watch = (
         _live(loaded, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
@@ -194,29 +194,16 @@ def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.
     )
 
 
-def _gain(
-    text: str,
-    display: "tactile.Display",
-    texture: "tactile.Texture",
-    stroke: dict[str, float | None],
-    path: Path | None,
-) -> float:
-    """Return the gain as a number; "auto" is the largest one for the straight stroke."""
-    if text != "auto":
-        try:
-            return within("--gain", float(text), 0.0, LARGEST_GAIN, 1.0)
-        except ValueError:
-            raise InputError(
-                f"--gain {text}: must be auto or a number between 0 and {LARGEST_GAIN:g}"
-            ) from None
-    if path is not None:
+def _gain(text: str) -> float | Literal["auto"]:
+    """Return the gain of the option ``--gain``."""
+    if text == "auto":
+        return "auto"
+    try:
+        return within("--gain", float(text), 0.0, LARGEST_GAIN, 1.0)
+    except ValueError:
         raise InputError(
-            "--gain auto cannot be used with --path, because it is computed for a straight stroke; "
-            "tactile strength reports it for any speed"
-        )
-    speed, _, angle, force = (within(name, stroke[name], *STROKE[name]) for name in STROKE)
-    line = tactile.SteadyStroke(speed=speed * 1e-3, normal_force=force, angle=math.radians(angle))
-    return tactile.automatic_gain(display, texture, line).value
+            f"--gain {text}: must be auto or a number between 0 and {LARGEST_GAIN:g}"
+        ) from None
 
 
 def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple[Any, Any]:
@@ -243,7 +230,11 @@ def _report(s: dict[str, Any]) -> dict[str, str]:
         "on": f"{s['display']} at {s['device']}, {s['sample_rate_hz']:g} Hz",
         "length": f"{s['seconds']:.3f} s, {s['samples']} samples",
     }
-    rows["gain"] = f"{s['gain']:.3g}"
+    rows["gain"] = f"{s['gain']:.3g}" + (
+        f", the largest of this stroke within the {s['gain_limit']} limit"
+        if s["gain_limit"]
+        else ""
+    )
     if s["frames"]:
         rows["frames"] = (
             f"{s['frames']} spectrum frames, {s['limited_samples']} of them limited; the events of "

@@ -167,9 +167,9 @@ def _print_display(facts: dict[str, Any]) -> None:
         f"{facts['voltage_limit_v']:g} V, {facts['limited_share']:.2%} of samples limited"
     )
     if facts["limit"] is not None:
-        rows["automatic gain"] = (
-            f"{facts['automatic_gain']:.3g} for {facts['automatic_level_db_sl']:+.1f} dB SL, "
-            f"limited by the {facts['limit']}"
+        rows["gain with headroom"] = (
+            f"{facts['automatic_gain']:.3g} for {facts['automatic_level_db_sl']:+.1f} dB SL, below "
+            f"the {facts['limit']} limit anywhere on the surface for half a minute"
         )
     print_facts(rows, "All bands together, above the detection threshold, ± 5 dB between people")
 

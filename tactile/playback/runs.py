@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 from tactile.playback.estop_guard import guarded
+from tactile.playback.gain_search import largest_gain
 from tactile.playback.origin import (
     Provenance,
     Sources,
@@ -55,6 +56,8 @@ class Summary:
         Share of the stroke that was put out, from 0 to 1.
     gain : float
         Gain of the texture.
+    gain_limit : str or None
+        Limit that forbids a larger gain, if the gain is the largest one.
     sample_rate_hz : float
         Sample rate of the drive.
     seconds : float
@@ -99,6 +102,7 @@ class Summary:
     outcome: Outcome = field(default_factory=Outcome)
     put_out_share: float = 0.0
     gain: float = 1.0
+    gain_limit: str | None = None
     sample_rate_hz: float = 0.0
     seconds: float = 0.0
     samples: int = 0
@@ -288,7 +292,7 @@ def run(
     trajectory: Trajectory,
     *,
     device: str = "sim:",
-    gain: float = 1.0,
+    gain: float | Literal["auto"] = 1.0,
     sample_rate: float | None = None,
     seed: int = 0,
     record: str | Path | None = None,
@@ -309,8 +313,9 @@ def run(
         Path of the finger.
     device : str
         URL of the bus.
-    gain : float
-        Factor on the texture's displacement.
+    gain : float or "auto"
+        Factor on the texture's displacement; "auto" for the largest that the limits allow
+        (`largest_gain`).
     sample_rate : float, optional
         Sample rate of the drive, by default the choice of the device [Hz].
     seed : int
@@ -342,15 +347,17 @@ def run(
     """
     if record is not None:
         checked_suffix(record)  # before the device is opened
-    summary = Summary(
-        texture.name, display.name, device, gain=gain, voltage_limit_v=display.limits.voltage
-    )
-    if gain != 1:
-        texture = amplified(texture, gain)
+    summary = Summary(texture.name, display.name, device, voltage_limit_v=display.limits.voltage)
     with open_bus(
         device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
+        if gain == "auto":
+            largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
+            gain, summary.gain_limit = largest.value, largest.limit
+        summary.gain = gain
+        if gain != 1:
+            texture = amplified(texture, gain)
         try:
             with guarded(bus, device), threadpool_limits(1):  # whose number changes the last bits
                 if bus.frames is not None:

@@ -1,0 +1,52 @@
+"""The largest gain of a stroke: the drive comes to the named limit, and no sample beyond it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from playback_rig import swing
+from strength_rig import few
+
+from tactile.display.display import Display
+from tactile.errors import InputError
+from tactile.playback.runs import run
+from tactile.rendering.contact import Trajectory
+from tactile.strength.strength import amplified
+from tactile.texture.surface import Texture, load_texture
+
+
+@pytest.mark.parametrize("trajectory", [Trajectory.line(speed=0.08, duration=2.0), swing(1.0)])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_stroke_reaches_the_voltage_limit_and_is_not_limited(
+    pair: Display, oak: Texture, trajectory: Trajectory, seed: int
+) -> None:
+    summary = run(pair, oak, trajectory, device="mock:", gain="auto", seed=seed)
+    assert summary.gain_limit == "voltage"
+    assert 0.985 * 100 < summary.peak_drive_v <= 100
+    assert summary.limited_samples == 0
+    louder = run(pair, oak, trajectory, device="mock:", gain=1.03 * summary.gain, seed=seed)
+    assert louder.limited_samples > 0
+
+
+@pytest.mark.parametrize("limit", ["slew", "current"])
+def test_a_slow_amplifier_is_the_limit_that_is_named(pair: Display, limit: str) -> None:
+    slow = {"slew": 2e4} if limit == "slew" else {"current": 2e4 * pair.capacitance}
+    limited = replace(pair, limits=replace(pair.limits, **slow))
+    line, suede = Trajectory.line(speed=0.08, duration=1.0), load_texture("leather-suede")
+    summary = run(limited, suede, line, device="mock:", gain="auto")
+    assert summary.gain_limit == limit
+    assert summary.limited_samples == 0
+    assert summary.peak_drive_v < 80
+    louder = run(limited, suede, line, device="mock:", gain=1.03 * summary.gain)
+    assert louder.limited_samples > 0
+
+
+def test_a_finger_at_rest_and_a_silent_texture_have_no_largest_gain(
+    pair: Display, oak: Texture
+) -> None:
+    rest = Trajectory([0.0, 1.0], np.zeros((2, 2)), 0.5)
+    with pytest.raises(InputError, match="the finger moves by 0 mm; needs at least 5 mm"):
+        run(pair, oak, rest, device="mock:", gain="auto")
+    line = Trajectory.line(speed=0.08, duration=0.2)
+    with pytest.raises(InputError, match="nothing to play in this stroke"):
+        run(few(pair, 0), amplified(oak, 0.0), line, device="mock:", gain="auto")

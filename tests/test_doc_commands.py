@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from test_readme import DOCUMENTS
+from test_readme import DOCUMENTS, make_recording
 
 import tactile
 from tactile.files import shipped
@@ -83,6 +83,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "plant.py").write_text(PLANT)
     (place / "tap.ahap").write_text(json.dumps(TAP))
     Image.fromarray(rng.integers(0, 255, (450, 450), np.uint8)).save(place / "map.png")
+    make_recording(place / "oak.h5")
     (place / "measured.csv").write_text(measured())
     return place
 

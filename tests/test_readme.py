@@ -34,17 +34,22 @@ RUN = [name for name, text in DOCUMENTS.items() if "docs/tutorials" not in name 
 MOST_WORDS = 1500
 
 
+def make_recording(path: Path) -> None:
+    """Make the recording that the documents read, of a short stroke."""
+    words = ["play", "wood-oak", "--seconds", "0.2", "--record", path.name, "--quiet"]
+    subprocess.run([sys.executable, "-m", "tactile", *words], cwd=path.parent, check=True)
+
+
 @pytest.mark.realtime
 @pytest.mark.parametrize("name", RUN)
-def test_their_python_lines_run(name: str) -> None:
+def test_their_python_lines_run(name: str, tmp_path: Path) -> None:
     """Some play in real time, with the timeouts that programs have by default."""
+    make_recording(tmp_path / "oak.h5")
     blocks = re.findall(PYTHON, DOCUMENTS[name], re.DOTALL | re.MULTILINE)
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", "\n".join(blocks)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     if name == "README.md":
         assert "(8000, 24)" in done.stdout

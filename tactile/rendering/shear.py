@@ -80,8 +80,8 @@ class EventField:
         ):
             _draw(field, place, peak, kinds[kind], pitch)
         # The first row and column once more behind the last: a pixel's neighbors need no wrapping.
-        flat = np.pad(field, (0, 1), mode="wrap").ravel()
-        self._corners = [flat[k:] for k in (0, 1, PIXELS + 1, PIXELS + 2)]
+        # It is one array, because a prepared texture is pickled: a view would be another copy of it.
+        self._flat = np.pad(field, (0, 1), mode="wrap").ravel()
 
     def at(self, place: Floats) -> Singles:
         """Return the displacement at each contactor.
@@ -105,8 +105,8 @@ class EventField:
         index += (finger_column + self._columns) & LAST
         weights = (1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y
         shear, part = np.zeros((2, *index.shape), np.float32)
-        for corner, weight in zip(self._corners, weights, strict=True):
-            corner.take(index, out=part, mode="clip")
+        for corner, weight in zip((0, 1, PIXELS + 1, PIXELS + 2), weights, strict=True):
+            self._flat[corner:].take(index, out=part, mode="clip")
             part *= weight
             shear += part
         return np.asarray(shear)

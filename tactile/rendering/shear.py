@@ -80,7 +80,7 @@ class EventField:
         ):
             _draw(field, place, peak, kinds[kind], pitch)
         # The first row and column once more behind the last: a pixel's neighbors need no wrapping.
-        # It is one array, because a prepared texture is pickled: a view would be another copy of it.
+        # One array, because a prepared texture is pickled: a view would be another copy of it.
         self._flat = np.pad(field, (0, 1), mode="wrap").ravel()
 
     def at(self, place: Floats) -> Singles:

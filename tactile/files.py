@@ -205,6 +205,36 @@ def _check_depth(path: Path, text: str) -> None:
         raise InputError(f"{path}: has a key of more than {DEEPEST} parts, the most that may be")
 
 
+def parsed(path: Path) -> dict[str, Any]:
+    """Parse a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file.
+
+    Returns
+    -------
+    dict
+        Content, of any shape.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is not valid TOML.
+    """
+    return _data_of(read_text(path), path)
+
+
+def _data_of(text: str, path: Path) -> dict[str, Any]:
+    """Parse the text of a TOML file; raise InputError if it is not valid."""
+    _check_depth(path, text)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid TOML: {_one_line(str(error))}") from error
+
+
 def read(
     path: Path, shape: type[Shape], *, adapt: Callable[[dict[str, Any]], None] | None = None
 ) -> Shape:
@@ -264,11 +294,7 @@ def parse(
         If the text is not valid TOML or does not fit the shape; the message gives file, field,
         value and limit.
     """
-    _check_depth(path, text)
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {_one_line(str(error))}") from error
+    data = _data_of(text, path)
     if adapt is not None:
         adapt(data)
     for field, value in _leaves(data):

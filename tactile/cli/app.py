@@ -29,7 +29,7 @@ class CommandEntry(NamedTuple):
 
 
 COMMANDS = {
-    "play": CommandEntry(PLAY, "Play a texture under a moving finger."),
+    "play": CommandEntry(PLAY, "Play a texture under a moving finger, or an effect."),
     "replay": CommandEntry(PLAY, "Render a recording again and compare it bit for bit."),
     "sheet": CommandEntry(PLAY, "Draw an overview of the shipped textures."),
     "show": CommandEntry(PLAY, "Show the surface and the spectrum of a texture."),

@@ -15,6 +15,12 @@ Facts = TypeVar("Facts")
 TextureArgument = Annotated[
     str, typer.Argument(help="Name of a shipped texture, or path of a texture file (TOML).")
 ]
+TextureOrEffect = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a shipped texture, or path of a texture file (TOML) or of an effect file."
+    ),
+]
 DisplayOption = Annotated[
     str,
     typer.Option(

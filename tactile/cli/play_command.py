@@ -17,7 +17,7 @@ from tactile.cli.options import (
     DisplayOption,
     ForceOption,
     SpeedOption,
-    TextureArgument,
+    TextureOrEffect,
     emit,
     within,
 )
@@ -27,6 +27,7 @@ from tactile.errors import InputError
 if TYPE_CHECKING:
     from tactile.playback.outcome import Outcome
     from tactile.playback.runs import Summary
+    from tactile.texture.formats.effect_shear import NamedEffect
 
 STROKE = {
     "--speed-mm-s": (0.0, 2000.0, 80.0),
@@ -41,7 +42,7 @@ ALLOWED_LOSS = "0.1%"
 
 
 def run(
-    texture: TextureArgument,
+    texture: TextureOrEffect,
     speed_mm_s: SpeedOption = None,
     seconds: Annotated[
         float | None, typer.Option(help="Duration of the stroke in s; 5 by default.")
@@ -95,7 +96,10 @@ def run(
         ),
     ] = ALLOWED_LOSS,
 ) -> None:
-    """Play a texture under a moving finger.
+    """Play a texture under a moving finger, or an effect.
+
+    An effect is a file that `tactile convert` wrote, or one of the formats that it reads (.ahap,
+    .haptic, .hjif, .wav). It plays on all contactors for its own duration.
 
     In a terminal it plays in real time and shows a live picture; otherwise it plays as fast as the
     device allows. The exit code is 0 if the stroke was put out, 1 if more than 0.1 % of it was not,
@@ -115,28 +119,63 @@ def run(
         "--angle-deg": angle_deg,
         "--normal-force-n": normal_force_n,
     }
-    trajectory = _trajectory(path, stroke)
+    effect = _effect(texture, stroke, path)
     within("--sample-rate-hz", sample_rate_hz, 2500, 200000, 8000)
     allowed = _percent(allow_loss)
     loaded, display_source = load_display(display)
-    surface, texture_source = load_texture(texture)
+    played: NamedEffect | tactile.Texture
+    sources = None
+    if effect is not None:
+        played, description = effect, effect.description
+        force = within("--normal-force-n", normal_force_n, *STROKE["--normal-force-n"])
+        trajectory = runs.at_rest(loaded, effect, normal_force=force)
+    else:
+        trajectory = _trajectory(path, stroke)
+        played, texture_source = load_texture(texture)
+        sources = Sources(display_source, texture_source)
+        description = played.descriptor.texture.description
     factor = _gain(gain)
+    if factor == "auto" and effect is not None:
+        raise InputError(
+            f"--gain auto cannot be used with {texture}, which is an effect: give a number"
+        )
     watched = sys.stdout.isatty() and not (quiet or as_json)
     live, watch = (
         _live(loaded, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
     )
     with live:
         summary = runs.run(
-            loaded, surface, trajectory,
+            loaded, played, trajectory,
             device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
-            sources=Sources(display_source, texture_source), watch=watch, realtime=watched,
+            sources=sources, watch=watch, realtime=watched,
             accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json or not quiet:
-        title = _title(summary.outcome, surface.descriptor.texture.description)
-        rows = {"put out": _put_out(summary), "stroke": _stroke_of(stroke, path)}
+        title = _title(summary.outcome, description)
+        rows = {"put out": _put_out(summary)}
+        if effect is None:
+            rows["stroke"] = _stroke_of(stroke, path)
+        elif effect.notes:
+            rows["effect"] = "; ".join(effect.notes)
         emit(summary.as_dict(), as_json, lambda facts: print_facts(rows | _report(facts), title))
     raise typer.Exit(_exit_code(summary, allowed))
+
+
+def _effect(
+    source: str, stroke: dict[str, float | None], path: Path | None
+) -> "NamedEffect | None":
+    """Return the effect that the source is, or None if it is a texture."""
+    from tactile.texture.formats.conversion import is_effect, load_named
+
+    if not is_effect(source):
+        return None
+    given = stroke | {"--path": path, "--normal-force-n": None}
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(
+                f"{name} cannot be used with {source}, which is an effect and needs no stroke"
+            )
+    return load_named(source)
 
 
 def _percent(text: str) -> Fraction:

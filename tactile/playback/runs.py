@@ -33,8 +33,9 @@ from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.sim import Fidelity, SimulatedDisplay
-from tactile.strength.figures import ShearFigures, StrokeMeter
+from tactile.strength.figures import ONSET, ShearFigures, StrokeMeter
 from tactile.strength.strength import amplified
+from tactile.texture.formats.effect_shear import NamedEffect
 from tactile.texture.surface import Texture
 
 
@@ -45,7 +46,7 @@ class Summary:
     Attributes
     ----------
     texture : str
-        Name of the texture.
+        Name of the texture or effect.
     display : str
         Name of the display.
     device : str
@@ -144,6 +145,8 @@ class _Run:
         recorder: Recorder | None,
         display: Display,
         trajectory: Trajectory,
+        *,
+        onset: float,
     ) -> None:
         self.summary, self._bus, self._rate = summary, bus, rate
         self._simulated = bus if isinstance(bus, SimulatedDisplay) else None
@@ -151,7 +154,7 @@ class _Run:
         self._unbroken = True
         self._fidelity = Fidelity(rate)
         begin, end, fade = trajectory.time[0], trajectory.time[-1], display.limits.fade
-        self._meter = StrokeMeter(display, rate, begin + fade, end - fade)
+        self._meter = StrokeMeter(display, rate, begin + fade, end - fade, onset=onset)
         self._preroll = delay
         self._waiting: list[PlayedBlock] = []
         self._skin_shear = np.zeros((0, 0))
@@ -208,6 +211,7 @@ class _Run:
         watch: Callable[[PlayedBlock, Renderer], None] | None,
         *,
         realtime: bool,
+        waveform: Floats | None = None,
     ) -> None:
         """Play to the end, and complete the summary.
 
@@ -223,6 +227,8 @@ class _Run:
             Function that is called with each block and the renderer.
         realtime : bool
             Whether to play in step with the clock.
+        waveform : (S,) array of float, optional
+            Shear that is added on all contactors [m].
         """
 
         def listen(block: PlayedBlock) -> None:
@@ -235,6 +241,7 @@ class _Run:
             return play(
                 display, renderer, trajectory, self._bus,
                 sample_rate=self._rate, listen=listen, clock=MONOTONIC if realtime else None,
+                waveform=waveform,
             )  # fmt: skip
 
         planned = round(trajectory.duration * self._rate)
@@ -286,9 +293,30 @@ class _Run:
             s.peak_current_ma = self._simulated.peak_current * 1e3
 
 
+def at_rest(display: Display, effect: NamedEffect, *, normal_force: float) -> Trajectory:
+    """Return the trajectory of a finger that rests while an effect plays.
+
+    Parameters
+    ----------
+    display : Display
+        Display to play.
+    effect : NamedEffect
+        Effect to play.
+    normal_force : float
+        Normal force of the finger [N].
+
+    Returns
+    -------
+    Trajectory
+        Finger at the origin, for the duration of the effect between two fades of the display.
+    """
+    seconds = effect.seconds + 2 * display.limits.fade
+    return Trajectory([0.0, seconds], np.zeros((2, 2)), normal_force)
+
+
 def run(
     display: Display,
-    texture: Texture,
+    texture: Texture | NamedEffect,
     trajectory: Trajectory,
     *,
     device: str = "sim:",
@@ -301,16 +329,16 @@ def run(
     realtime: bool = False,
     accept_unsafe_hold: bool = False,
 ) -> Summary:
-    """Play a texture along a trajectory on a device.
+    """Play a texture along a trajectory on a device, or an effect on a finger at rest.
 
     Parameters
     ----------
     display : Display
         Display to play.
-    texture : Texture
-        Texture to play.
+    texture : Texture or NamedEffect
+        Texture to play, or effect, which begins after a fade and plays on all contactors.
     trajectory : Trajectory
-        Path of the finger.
+        Path of the finger; for an effect, that of `at_rest`.
     device : str
         URL of the bus.
     gain : float or "auto"
@@ -352,23 +380,37 @@ def run(
         device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
-        if gain == "auto":
-            largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
-            gain, summary.gain_limit = largest.value, largest.limit
+        waveform, surface = None, None
+        if isinstance(texture, NamedEffect):
+            if gain == "auto":
+                raise InputError(f"{texture.name}: is an effect, whose gain must be a number")
+            waveform = _waveform(display, replace(texture, gain=gain), rate)
+        else:
+            if gain == "auto":
+                largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
+                gain, summary.gain_limit = largest.value, largest.limit
+            surface = amplified(texture, gain) if gain != 1 else texture
         summary.gain = gain
-        if gain != 1:
-            texture = amplified(texture, gain)
         try:
             with guarded(bus, device), threadpool_limits(1):  # whose number changes the last bits
                 if bus.frames is not None:
-                    _play_frames(summary, display, texture, trajectory, bus, seed, record)
+                    if surface is None:
+                        raise InputError(
+                            f"{texture.name}: is an effect, and the link takes spectrum frames, "
+                            "which play textures only"
+                        )
+                    _play_frames(summary, display, surface, trajectory, bus, seed, record)
                 else:
-                    renderer = Renderer(display, texture, sample_rate=rate, seed=seed)
+                    renderer = Renderer(display, surface, sample_rate=rate, seed=seed)
                     recorder = _recorder(summary, display, trajectory, seed, record, sources)
                     account = _Run(
-                        summary, bus, rate, renderer.delay, recorder, display, trajectory
-                    )
-                    account.play(display, renderer, trajectory, watch, realtime=realtime)
+                        summary, bus, rate, renderer.delay, recorder, display, trajectory,
+                        onset=ONSET if waveform is None else 0.0,
+                    )  # fmt: skip
+                    account.play(
+                        display, renderer, trajectory, watch,
+                        realtime=realtime, waveform=waveform,
+                    )  # fmt: skip
         except BusError as error:  # after `guarded` has latched the e-stop of an amplifier
             if not bus.next_position:
                 raise
@@ -378,6 +420,11 @@ def run(
     outcome = summary.outcome
     summary.put_out_share = share_put_out(outcome.planned_samples, outcome.lost_samples)
     return summary
+
+
+def _waveform(display: Display, effect: NamedEffect, rate: float) -> Floats:
+    """Return the shear (S,) of an effect after the fade at the beginning of a stream [m]."""
+    return np.concatenate([np.zeros(round(display.limits.fade * rate)), effect.shear(rate)])
 
 
 def _follow(

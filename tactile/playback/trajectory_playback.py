@@ -60,6 +60,7 @@ def play(
     sample_rate: float,
     listen: Callable[[PlayedBlock], None],
     clock: Clock | None = None,
+    waveform: Floats | None = None,
 ) -> BusStatus:
     """Play a trajectory to its end.
 
@@ -79,6 +80,8 @@ def play(
         Function that is called with each played block.
     clock : Clock, optional
         Clock to wait for each block's time by, on a bus that does not wait; None to go ahead.
+    waveform : (S,) array of float, optional
+        Shear that is added on all contactors, from the first sample on [m].
 
     Returns
     -------
@@ -91,7 +94,8 @@ def play(
         If the bus fails; its ``with`` block then aborts the stream.
     """
     start_time, sent = 0.0, 0
-    for drive, played in rendered(display, renderer, trajectory, sample_rate=sample_rate):
+    blocks = rendered(display, renderer, trajectory, sample_rate=sample_rate, waveform=waveform)
+    for drive, played in blocks:
         if not sent:  # the first block takes longest
             bus.start()
             start_time = 0.0 if clock is None else clock.now()
@@ -108,7 +112,12 @@ def play(
 
 
 def rendered(
-    display: Display, renderer: Renderer, trajectory: Trajectory, *, sample_rate: float
+    display: Display,
+    renderer: Renderer,
+    trajectory: Trajectory,
+    *,
+    sample_rate: float,
+    waveform: Floats | None = None,
 ) -> Iterator[tuple[Floats, PlayedBlock | None]]:
     """Yield the drive of a trajectory block by block, faded in and out.
 
@@ -122,6 +131,8 @@ def rendered(
         Path of the finger.
     sample_rate : float
         Sample rate of the drive [Hz].
+    waveform : (S,) array of float, optional
+        Shear that is added on all contactors, from the first sample on [m].
 
     Yields
     ------
@@ -139,9 +150,16 @@ def rendered(
     for position, normal_force in _blocks(trajectory, sample_rate, renderer.delay, last):
         if sent == max(last, 0):
             renderer.fade_out()
-        drive, shear = renderer.block(position, normal_force, shear=True)
+        added = None if waveform is None else _part(waveform, sent, len(position))
+        drive, shear = renderer.block(position, normal_force, waveform=added, shear=True)
         sent += len(drive)
         yield drive, delayed(position, normal_force, drive, shear)
+
+
+def _part(waveform: Floats, start: int, count: int) -> Floats:
+    """Return samples of a waveform, which is 0 after its end."""
+    part = waveform[start : start + count]
+    return np.pad(part, (0, count - len(part)))
 
 
 def frames_of(trajectory: Trajectory, sample_rate: float, spacing: int) -> int:

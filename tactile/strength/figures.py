@@ -305,11 +305,22 @@ class StrokeMeter:
         Sample rate of the shear [Hz].
     begin, end : float
         Times between which the stroke is not on a ramp [s].
+    onset : float
+        Way of the finger that is left out at the beginning; 0 for an effect on a finger at rest
+        [m].
     """
 
-    def __init__(self, display: Display, sample_rate: float, begin: float, end: float) -> None:
+    def __init__(
+        self,
+        display: Display,
+        sample_rate: float,
+        begin: float,
+        end: float,
+        *,
+        onset: float = ONSET,
+    ) -> None:
         self._axes = display.shear_axes
-        self._span = begin, end
+        self._span, self._onset = (begin, end), onset
         self._last: Floats | None = None
         self._way = 0.0
         channels = len(display.contactors)
@@ -339,7 +350,7 @@ class StrokeMeter:
         size = np.hypot(*step.T)
         way = self._way + np.cumsum(size)
         self._way = float(way[-1])
-        first = int(np.searchsorted(way, ONSET))
+        first = int(np.searchsorted(way, self._onset))
         begin, end = np.searchsorted(time, self._span)
         steady = slice(max(first, int(begin)), int(end))
         against = drag_signs(step[steady], self._axes)

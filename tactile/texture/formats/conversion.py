@@ -21,6 +21,7 @@ from tactile.texture import descriptor_file
 from tactile.texture.descriptor import Descriptor
 from tactile.texture.formats import ahap, haptic_clip, hatt, hjif, pcm, reading, surface_effect
 from tactile.texture.formats.document import Effect, EffectFile, channels_of, segments_of
+from tactile.texture.formats.effect_shear import NamedEffect
 from tactile.texture.formats.synthesis import duration
 
 Loaded = tuple[Effect, list[str]]
@@ -108,6 +109,60 @@ def load_effect(path: str | Path) -> Effect:
         If the file is invalid. The message is one line with the file, field, value and limit.
     """
     return _loaded(Path(path))[0]
+
+
+def is_effect(source: str | Path) -> bool:
+    """Tell whether a source is an effect, a function of time, and not a texture.
+
+    Parameters
+    ----------
+    source : str or Path
+        Name of a shipped texture, or path of a file. That of a TOML file is decided by its content.
+
+    Returns
+    -------
+    bool
+        Whether `load_effect` reads it. A name, and a file of an unknown kind, is no effect.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such TOML file.
+    InputError
+        If a TOML file is neither, or cannot be read.
+    """
+    path = Path(source)
+    if path.suffix.lower() != ".toml":
+        return path.suffix.lower() in LOADERS
+    if not files.is_file(path):
+        raise NotFoundError(f"{path}: no such file")
+    tables = files.parsed(path)
+    if "effect" not in tables and "texture" not in tables:
+        raise InputError(
+            f"{path}: neither a texture nor an effect: has no [texture] and no [effect]"
+        )
+    return "texture" not in tables
+
+
+def load_named(path: str | Path) -> NamedEffect:
+    """Read an effect to play it, under the name of its file.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read, as in `load_effect`.
+
+    Returns
+    -------
+    NamedEffect
+        The effect.
+
+    Raises
+    ------
+    NotFoundError, InputError
+        As in `load_effect`.
+    """
+    return NamedEffect(Path(path).stem, load_effect(path))
 
 
 def _loaded(path: Path) -> Loaded:
@@ -255,15 +310,9 @@ def _texture_of(
             f"{source}: neither a file nor a texture; "
             f"{files.nearest(source, descriptors.textures())}"
         )
-    if path.suffix == ".toml" and _has_texture(path):
+    if path.suffix == ".toml" and not is_effect(path):
         return descriptors.load(path), []
     return None, []
-
-
-def _has_texture(path: Path) -> bool:
-    """Return whether a TOML file has a line ``[texture]``."""
-    lines = reading.contents(path, 4 * reading.LARGEST_FILE).splitlines()
-    return any(line.strip() == b"[texture]" for line in lines)
 
 
 def _checked_target(path: Path, *, force: bool) -> None:

@@ -21,6 +21,7 @@ from tactile.texture.formats.document import (
     Perception,
     ReferenceDevice,
 )
+from tactile.texture.formats.effect_shear import reach_of
 from tactile.texture.formats.synthesis import PLAIN, points, resolved, without_control
 from tactile.texture.power_laws import speed_factor
 from tactile.texture.surface import JITTER_LINES, Partials, Texture, stochastic_waves
@@ -44,8 +45,6 @@ PARTIALS = 384
 """Number of waves of a surface, as in `load_texture`."""
 MOST_GRATINGS = 300
 """Largest number of gratings of a texture made of an effect."""
-ASSUMED_REACH_UM = 10.0
-"""Displacement of an amplitude of 1 if no device states its maximum_displacement (assumed) [µm]."""
 
 
 def effect_of(texture: Descriptor, speed: float) -> tuple[Effect, list[str]]:
@@ -195,7 +194,7 @@ def texture_from(
     others = sum(len(p.channels) for p in effect.perceptions) - 1
     if others:
         lost.append(f"a texture is one surface: {others} more channels left out")
-    reach, assumed = _reach(perception, channel)
+    reach, assumed = reach_of(perception, channel)
     gratings, dropped = _gratings(perception, channel, speed * 1e3, reach * abs(channel.gain))
     if not gratings:
         raise InputError(f"{source}: has no oscillation that could be a grating")
@@ -209,17 +208,6 @@ def texture_from(
         periodic=tuple(gratings),
     )  # fmt: skip
     return texture, lost + assumed + dropped + category_notes
-
-
-def _reach(perception: Perception, channel: EffectChannel) -> tuple[float, list[str]]:
-    """Return the displacement of an amplitude of 1 [µm], and a note if it is assumed."""
-    for device in perception.reference_devices:
-        reach = device.maximum_displacement_mm
-        if device.id == channel.reference_device_id and reach is not None:
-            return reach * 1e3, []
-    return ASSUMED_REACH_UM, [
-        f"an amplitude of 1 is taken as {ASSUMED_REACH_UM:g} µm (assumed: no maximum_displacement)"
-    ]
 
 
 def _gratings(

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from tactile.errors import InputError, NotFoundError
 from tactile.texture.formats import load_effect, save_effect, synthesize
 from tactile.texture.formats.hatt import load_model
+from tactile.texture.formats.wavelets import decoded
 
 CLIP = '{"version":{"major":1},"signals":{"continuous":{"envelopes":{"amplitude":[%s]}}}}'
 POINT = '{"time":0,"amplitude":0.5}'
@@ -153,6 +154,45 @@ def test_a_hjif_with_a_fault_inside_is_refused_in_a_line(
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
     assert reason in refusal(path)
+
+
+def test_a_library_entry_that_refers_to_itself_is_refused_in_a_line(tmp_path: Path) -> None:
+    path = hjif(tmp_path)
+    entry = '[{"effect_type": "Reference", "id": 3, "position": 0}]'
+    path.write_text(path.read_text().replace('"effect_library": []', f'"effect_library": {entry}'))
+    reason = "perceptions[0].effect_library[0] = Reference to effect 3: refers to itself"
+    assert reason in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("stream", "length", "reason"),
+    [
+        ("AA=A", 128, "wavelet_stream has '=': must be base64"),
+        ("AAAA", 100, "has blocks of 100 samples: must be a power of two, 16 … 16384"),
+        ("AAAA", 2**15, "has blocks of 32768 samples"),
+        ("AAAA", -128, "has blocks of -128 samples"),
+        ("AAAA", 2**32, "1048576 at most"),
+    ],
+)
+def test_wavelets_that_are_none_are_refused_in_a_line(
+    stream: str, length: int, reason: str, tmp_path: Path
+) -> None:
+    path = hjif(tmp_path)
+    text = path.read_text()
+    content = json.loads(text)
+    band = content["perceptions"][0]["channels"][0]["bands"][0]
+    band |= {"band_type": "WaveletWave", "block_length": length}
+    band["effects"] = [{"effect_type": "Basis", "position": 0, "wavelet_stream": stream}]
+    path.write_text(json.dumps(content))
+    assert reason in refusal(path)
+
+
+@given(st.text("ABCDwxyz0189+/", max_size=200), st.sampled_from([16, 64, 256]))
+@settings(max_examples=50, deadline=None)
+def test_any_stream_of_wavelets_decodes_to_finite_samples(stream: str, count: int) -> None:
+    samples = decoded(stream, count)
+    assert samples.shape == (count,)
+    assert np.all(np.isfinite(samples))
 
 
 @pytest.mark.ci

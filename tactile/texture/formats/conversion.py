@@ -61,9 +61,9 @@ SAVERS: dict[str, Callable[[Effect], Saved]] = {
 """Writers of effects by the suffix of a file."""
 FORMAT_FIELDS = {
     "version", "profile", "level", "date", "unit_exponent", "perception_unit_exponent",
-    "sample_count", "block_length",
+    "sample_count", "block_length", "wavelet_stream",
 }  # fmt: skip
-"""Fields that state how a .hjif file is written and nothing about the effect."""
+"""Fields that state how a .hjif file is written and nothing else about the effect."""
 
 
 @dataclass(frozen=True)

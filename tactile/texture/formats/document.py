@@ -8,7 +8,7 @@ amplitude and the frequency of a keyframe mean:
 - ``wave``: amplitude and frequency of an oscillation with continuous phase;
 - ``curve``: the signal itself; ``samples``: the signal itself, at an even rate;
 - ``transient``: a tap of 22 ms at each keyframe;
-- ``wavelet``: kept as it is in the .hjif file, and not decoded;
+- ``wavelet``: samples that were decoded from the blocks of a .hjif file, which stay in ``other``;
 - ``control``: factor (amplitude) and shift (frequency) of everything else in the channel, held
   between and after its segments. MPEG has none; the parameter curves of Apple become this.
 
@@ -102,8 +102,8 @@ class KeyframeSegment(FileTable, frozen=True, kw_only=True):
     keyframes : tuple of Keyframe
         Keyframes in ascending order of time, default none.
     samples : bytes
-        Samples of a band of kind "samples": float32, little-endian, −1 to 1, as base64 in a file,
-        default none.
+        Samples of a band of kind "samples" or "wavelet": float32, little-endian, −1 to 1, as base64
+        in a file, default none.
     other : dict
         Further fields of the original format.
     """

@@ -2,9 +2,9 @@
 
 The effect document has the same layers, so that a file is written as it was read: ids, effect
 types, phases, base signals, keywords, gains, devices, and in ``other`` whatever has no meaning here
-(avatars, targets on the body, wavelet streams …). ``effect_semantic_scheme`` is left out when
-writing, since the reference conformance check takes any as an error. The binary form, .hmpg, is not
-read.
+(avatars, targets on the body …). Wavelet streams are kept there too, besides their samples.
+``effect_semantic_scheme`` is left out when writing, since the reference conformance check takes any
+as an error. The binary form, .hmpg, is not read.
 """
 
 import datetime
@@ -37,6 +37,7 @@ from tactile.texture.formats.document import (
     check_ascending,
 )
 from tactile.texture.formats.synthesis import without_control
+from tactile.texture.formats.wavelets import decoded
 
 KINDS = {
     "Curve": "curve", "VectorialWave": "wave", "WaveletWave": "wavelet", "Transient": "transient",
@@ -44,6 +45,9 @@ KINDS = {
 """Kind of a band in the effect document by its ``band_type``."""
 BANDS_AT_LEVEL_1, CHANNELS_AT_LEVEL_1 = 7, 128
 """Largest numbers of bands of a channel and of channels of a perception at level 1."""
+MOST_WAVELET_SAMPLES = 2**20
+"""Largest number of samples of a band of wavelets: two minutes at 8 kHz. Decoding takes some 10 µs
+for each."""
 LONGEST = 3600
 """Longest time that an effect may end at [s]."""
 SCHEME = "effect_semantic_scheme"
@@ -230,6 +234,14 @@ class HjifPerception(Struct, frozen=True):
     reference_devices: tuple[HjifDevice, ...] = ()
     unit_exponent: Annotated[int, Meta(ge=-12, le=12)] = -3
 
+    def __post_init__(self) -> None:
+        for k, effect in enumerate(self.effect_library):
+            if effect.effect_type == "Reference":
+                raise ValueError(
+                    f"effect_library[{k}] = Reference to effect {effect.id}: refers to itself; "
+                    "must be Basis or Composite"
+                )
+
 
 class HjifFile(Struct, frozen=True):
     """Contents of a .hjif file, all of which are required.
@@ -360,12 +372,12 @@ def _device(d: HjifDevice, raw: dict[str, Any], millimeters: float) -> Reference
 def _channel(c: HjifChannel, raw: dict[str, Any], timescale: int) -> EffectChannel:
     """Return a channel of a file as one of the document."""
     bands = tuple(
-        Band(
+        _decoded(Band(
             kind=KINDS[band.band_type], curve_type=band.curve_type,  # type: ignore[arg-type]
             segments=_segments(band.effects, raw_band["effects"], timescale),
             lower_frequency_hz=band.lower_frequency_limit,
             upper_frequency_hz=band.upper_frequency_limit, other=_other(raw_band, HjifBand),
-        )
+        ), timescale)
         for band, raw_band in zip(c.bands, raw["bands"], strict=True)
     )  # fmt: skip
     return EffectChannel(
@@ -373,6 +385,27 @@ def _channel(c: HjifChannel, raw: dict[str, Any], timescale: int) -> EffectChann
         body_part_mask=c.body_part_mask, reference_device_id=c.reference_device_id,
         bands=bands, other=_other(raw, HjifChannel),
     )  # fmt: skip
+
+
+def _decoded(band: Band, timescale: int) -> Band:
+    """Return a band with the samples of its wavelet blocks, whose rate is its upper limit."""
+    length, rate = band.other.get("block_length"), band.upper_frequency_hz
+    if band.kind != "wavelet" or not isinstance(length, int):
+        return band
+    count = length * rate / timescale
+    if len(band.segments) * count > MOST_WAVELET_SAMPLES:
+        raise InputError(
+            f"a band of wavelets has {len(band.segments) * count:g} samples: "
+            f"{MOST_WAVELET_SAMPLES} at most"
+        )
+    if count != int(count):
+        raise InputError(f"block_length = {length}: is {count:g} samples; must be a whole number")
+    segments = tuple(
+        msgspec.structs.replace(s, samples=decoded(stream, int(count)).astype("<f4").tobytes())
+        if isinstance(stream := s.other.get("wavelet_stream"), str) else s
+        for s in band.segments
+    )  # fmt: skip
+    return msgspec.structs.replace(band, sample_rate_hz=rate, segments=segments)
 
 
 def _segments(

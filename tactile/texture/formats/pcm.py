@@ -155,7 +155,7 @@ def rate_of(effect: Effect) -> float:
         Highest rate of its samples up to 192 kHz, or 8000 without samples [Hz].
     """
     rates = {b.sample_rate_hz for _, c in channels_of(effect) for b in c.bands
-             if b.kind == "samples" and b.sample_rate_hz}  # fmt: skip
+             if b.kind in ("samples", "wavelet") and b.sample_rate_hz}  # fmt: skip
     return max([r for r in rates if r <= 192_000], default=RATE)
 
 

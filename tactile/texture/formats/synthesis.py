@@ -4,8 +4,8 @@ The rules are those of the reference software of MPEG-I Haptics (ISO/IEC 23090-3
 Amplitude and frequency are linear between keyframes, and the phase is the integral of the
 frequency. Curves are Cubic (flat at each keyframe) unless they state otherwise. A transient is two
 periods of a sine in 22 ms. A transient with its own frequency, which MPEG does not have, is the
-number of whole periods of it that comes nearest to 22 ms. Wavelets and composite effects are left
-out, which `unplayed` reports.
+number of whole periods of it that comes nearest to 22 ms. Composite effects are left out, which
+`unplayed` reports.
 """
 
 from collections.abc import Callable
@@ -88,7 +88,7 @@ def end_of(band: Band, segment: KeyframeSegment) -> float:
     if band.kind == "transient":
         taps = [(k.time_s, *_tap_shape(k)) for k in segment.keyframes]
         end = segment.start_s + max((t + n / f for t, n, f in taps), default=0.0)
-    if band.kind == "samples" and band.sample_rate_hz:
+    if segment.samples and band.sample_rate_hz:
         end += len(segment.samples) / 4 / band.sample_rate_hz
     return end if band.kind != "control" else 0.0
 
@@ -179,7 +179,7 @@ def _segment_samples(band: Band, segment: KeyframeSegment, time: Floats, rate: f
         return _wave(segment, time, rate)
     if band.kind == "curve":
         return _curve(segment, band.curve_type or "Unknown", time)
-    if band.kind == "samples":
+    if segment.samples:
         values = np.frombuffer(segment.samples, "<f4").astype(np.float64)
         at = np.arange(len(values)) / (band.sample_rate_hz or 1.0)
         return np.asarray(np.interp(time, at, values, right=0.0))
@@ -385,8 +385,9 @@ def unplayed(effect: Effect) -> list[str]:
         where = f"perception {perception.id}, channel {channel.id}"
         for band in channel.bands:
             parts = [resolved(perception, s) for s in band.segments]
-            if band.kind == "wavelet":
-                lines.append(f"{where}: wavelets are not decoded, {len(parts)} blocks left out")
+            opaque = sum(not s.samples for s in parts) if band.kind == "wavelet" else 0
+            if opaque:
+                lines.append(f"{where}: {opaque} wavelet blocks cannot be decoded and are left out")
             if band.kind == "curve" and band.curve_type in ("Bezier", "Bspline"):
                 lines.append(f"{where}: a {band.curve_type} curve is drawn as Cubic")
             if composite := sum(s.type == "Composite" for s in parts):

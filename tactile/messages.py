@@ -108,7 +108,8 @@ ALL_ROLES: frozenset[Role] = frozenset(get_args(Role))
 """Set of all roles."""
 
 Code = Literal[
-    "malformed", "too_large", "unknown_type", "invalid_field", "unknown_texture", "unknown_display",
+    "malformed", "too_large", "unknown_type", "invalid_field", "unknown_texture", "unknown_effect",
+    "unknown_display",
     "wrong_version", "unauthorized", "hello_first", "too_many_clients", "too_fast", "not_armed",
     "estopped", "busy", "unavailable", "unsupported", "internal",
 ]  # fmt: skip
@@ -416,6 +417,28 @@ class PlayEffect(DisplayRequest, frozen=True, kw_only=True, tag="effect"):
     stream: bool = False
 
 
+class ListEffects(Request, frozen=True, kw_only=True, tag="list_effects"):
+    """Ask for all effects that can be played by name; answered by `Effects`."""
+
+
+class PlayNamedEffect(DisplayRequest, frozen=True, kw_only=True, tag="play_effect"):
+    """Play an effect of the server; requires the role "play" and an armed display.
+
+    It starts at once on all contactors, in place of the client's queued waveform, and is added to
+    everything else that plays.
+
+    Attributes
+    ----------
+    effect : str
+        Name of an effect, as listed in `Effects`.
+    gain : float
+        Factor of the effect's amplitude, 0 to 1.
+    """
+
+    effect: Name
+    gain: Fraction = 1.0
+
+
 class ArmDisplay(DisplayRequest, frozen=True, kw_only=True, tag="arm"):
     """Switch high voltage on and start playing; requires the role "arm".
 
@@ -595,6 +618,36 @@ class Textures(Reply, frozen=True, kw_only=True, tag="textures"):
     textures: tuple[TextureInfo, ...]
 
 
+class EffectInfo(Struct, frozen=True, kw_only=True):
+    """Description of an effect that can be played by name.
+
+    Attributes
+    ----------
+    name : str
+        Name that `PlayNamedEffect` takes.
+    description : str
+        Description for people.
+    seconds : float
+        Duration [s].
+    """
+
+    name: str
+    description: str
+    seconds: float
+
+
+class Effects(Reply, frozen=True, kw_only=True, tag="effects"):
+    """Answer to `ListEffects`.
+
+    Attributes
+    ----------
+    effects : list of EffectInfo
+        All effects of the server.
+    """
+
+    effects: tuple[EffectInfo, ...]
+
+
 class Done(Reply, frozen=True, kw_only=True, tag="done"):
     """Answer to a request that was carried out and has no reply of its own.
 
@@ -682,12 +735,12 @@ class Failure(Reply, frozen=True, kw_only=True, tag="failure"):
     """Answer to a message that could not be carried out.
 
     Codes: "malformed" (the message cannot be decoded), "too_large", "unknown_type",
-    "invalid_field", "unknown_texture", "unknown_display", "wrong_version", "unauthorized" (wrong
-    token, or a role is missing), "hello_first" (`ClientHello` is missing), "too_many_clients",
-    "too_fast" (messages were dropped because there were too many per second), "not_armed",
-    "estopped" (an e-stop holds), "busy" (too many requests or textures of this client are pending),
-    "unavailable" (the display, its device or a texture cannot be used now), "unsupported" and
-    "internal" (a fault of the server).
+    "invalid_field", "unknown_texture", "unknown_effect", "unknown_display", "wrong_version",
+    "unauthorized" (wrong token, or a role is missing), "hello_first" (`ClientHello` is missing),
+    "too_many_clients", "too_fast" (messages were dropped because there were too many per second),
+    "not_armed", "estopped" (an e-stop holds), "busy" (too many requests or textures of this client
+    are pending), "unavailable" (the display, its device or a texture cannot be used now),
+    "unsupported" and "internal" (a fault of the server).
 
     Attributes
     ----------
@@ -773,11 +826,12 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
 
 Command = (
     ClientHello | ListTextures | Select | Contact | Resume | StopPlaying | SetGain | Append
-    | PlayEffect | ArmDisplay | DisarmDisplay | EStop | ClearEstop | Subscribe | GetStats | Ping
+    | PlayEffect | ListEffects | PlayNamedEffect | ArmDisplay | DisarmDisplay | EStop | ClearEstop
+    | Subscribe | GetStats | Ping
 )  # fmt: skip
 """Any message of a client."""
 Answer = (
-    Welcome | Textures | Done | AppendedReply | Pong | StatsReply | Failure | EventMessage
+    Welcome | Textures | Effects | Done | AppendedReply | Pong | StatsReply | Failure | EventMessage
     | TelemetryMessage
 )  # fmt: skip
 """Any message of the server."""

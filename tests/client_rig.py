@@ -92,6 +92,9 @@ class Script:
                     name="wood-oak", category="wood", description="", provenance="assumed"
                 )
                 return m.Textures(id=said.id, textures=(oak,))
+            case m.ListEffects():
+                tap = m.EffectInfo(name="tap", description="", seconds=0.02)
+                return m.Effects(id=said.id, effects=(tap,))
             case m.Append():
                 return m.AppendedReply(id=said.id, samples_consumed=count(said), buffered_ms=10.0)
             case m.GetStats():
@@ -390,6 +393,11 @@ MESSAGES: list[tuple[Callable[[Any], Any], Any]] = [
         lambda d: d.transient(5e-6, frequency=100.0),
         m.PlayEffect(display="left", amplitude_um=5.0, transients=(m.Transient(0.0, 1.0, 100.0),)),
     ),
+    (
+        lambda d: d.play_effect("tap", gain=0.5),
+        m.PlayNamedEffect(display="left", effect="tap", gain=0.5),
+    ),
+    (lambda d: d.effects(), m.ListEffects()),
     (lambda d: d.stats(), m.GetStats(display="left")),
     (lambda d: d.textures(), m.ListTextures()),
 ]  # fmt: skip

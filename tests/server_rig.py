@@ -31,10 +31,13 @@ from tactile.messages import (
     DisarmDisplay,
     DisplayDescription,
     Done,
+    EffectInfo,
+    Effects,
     EStop,
     EventMessage,
     Failure,
     GetStats,
+    ListEffects,
     ListTextures,
     Role,
     Select,
@@ -119,6 +122,8 @@ class Hand(Client):
         elif isinstance(command, ListTextures):
             info = TextureInfo(name=TEXTURE, category="wood", description="", provenance="authored")
             return Textures(textures=(info,))
+        elif isinstance(command, ListEffects):
+            return Effects(effects=(EffectInfo(name="tap", description="", seconds=0.02),))
         elif isinstance(command, Append):
             taken = len(command.samples)
             return AppendedReply(samples_consumed=taken, buffered_ms=1.0)
@@ -337,6 +342,8 @@ GOOD: dict[str, tuple[dict[str, Any], str]] = {
          "frequency": [[0, 100]], "transients": [[0, 1, 160]]},
         "done",
     ),
+    "list_effects": ({"type": "list_effects"}, "effects"),
+    "play_effect": ({"type": "play_effect", "display": "right", "effect": "tap"}, "done"),
     "arm": ({"type": "arm", "display": "right"}, "done"),
     "disarm": ({"type": "disarm", "display": "right"}, "done"),
     "estop": ({"type": "estop"}, "done"),

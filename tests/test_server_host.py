@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar, get_args
 
+import numpy as np
 import pytest
 
 from tactile import messages as m
@@ -23,7 +24,8 @@ from tactile.playback.shared_memory import PlaybackMemory
 from tactile.server import client as client_module
 from tactile.server import playing as playing_module
 from tactile.server.client import Client
-from tactile.server.config import Configuration, DisplayConfig
+from tactile.server.config import Configuration, DisplayConfig, ServerConfig
+from tactile.server.effects import load_effects
 from tactile.server.host import Host
 
 T = TypeVar("T")
@@ -73,10 +75,31 @@ def runner() -> Iterator[Loop]:
         yield runner
 
 
+HUM = """
+[effect]
+description = "ten seconds of 160 Hz at half of 10 µm"
+[[effect.perceptions]]
+[[effect.perceptions.channels]]
+[[effect.perceptions.channels.bands]]
+kind = "wave"
+[[effect.perceptions.channels.bands.segments]]
+keyframes = [{ time_s = 0.0, amplitude = 0.5 }, { time_s = 10.0, amplitude = 0.5 }]
+"""
+"""Contents of an effect file."""
+
+
 @pytest.fixture(scope="module")
-def host(runner: Loop) -> Iterator[Host]:
+def host(runner: Loop, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Host]:
+    folder = tmp_path_factory.mktemp("effects")
+    (folder / "hum.toml").write_text(HUM)
+    (folder / "broken.toml").write_text("[effect]\nx = 1\n")
+    (folder / "öl.toml").write_text(HUM)
+    (folder / "notes.txt").write_text("no effect")
     host = Host(
-        Configuration(display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),))
+        Configuration(
+            server=ServerConfig(effects=str(folder)),
+            display=(DisplayConfig(name=NAME, device="sim:", voltage_limit_v=60.0),),
+        )
     )
     runner.run(host.start())
     yield host
@@ -204,6 +227,56 @@ def test_waves_need_an_armed_display_and_contactors_that_there_are(program: Prog
         assert failure(program.ask(wave)).field == "samples"
 
 
+def test_effects_are_the_files_of_a_folder_that_can_be_played(program: Program) -> None:
+    (listed,) = program.ask(m.ListEffects())
+    description = "ten seconds of 160 Hz at half of 10 µm"
+    info = m.EffectInfo(name="hum", description=description, seconds=10.0)
+    assert listed == m.Effects(effects=(info,))
+
+
+@pytest.mark.parametrize("name", ["hmu", "..", "hum.toml", "broken", "notes"])
+def test_a_name_chooses_among_the_effects_and_nothing_else(program: Program, name: str) -> None:
+    told = failure(program.ask(m.PlayNamedEffect(display=NAME, effect=name)))
+    assert (told.code, told.field) == ("unknown_effect", "effect")
+    assert "'hum'" in told.message or "there is: hum" in told.message
+
+
+def test_an_effect_plays_by_its_name_until_it_is_stopped(program: Program, host: Host) -> None:
+    """The shear is 5 µm at a gain of 1 and 2.5 µm at a half, on an armed display only."""
+
+    def shear(least: float, most: float) -> None:
+        memory = host.playing[NAME].memory
+
+        def happens(_: m.StatsReply) -> bool:
+            program.touch()
+            return least <= float(np.abs(memory.shear).max()) * 1e6 <= most
+
+        program.until(happens)
+
+    hum = m.PlayNamedEffect(display=NAME, effect="hum")
+    assert failure(program.ask(hum)).code == "not_armed"
+    program.ask(m.ArmDisplay(display=NAME))
+    program.until(lambda stats: stats.state == "armed")
+    assert program.ask(hum) == [m.Done()]
+    shear(4.0, 5.1)
+    assert program.ask(m.PlayNamedEffect(display=NAME, effect="hum", gain=0.5)) == [m.Done()]
+    shear(2.0, 2.6)
+    assert program.runner.call(lambda: program.client.sounds)
+    program.ask(m.StopPlaying(display=NAME))
+    shear(0.0, 1e-6)
+    program.ask(hum)
+    (done,) = program.ask(m.EStop())
+    assert isinstance(done, m.Done)
+    assert failure(program.ask(hum)).code == "estopped"
+    program.ask(m.ClearEstop(display=NAME, estop=done.estops[NAME]))
+    program.ask(m.Resume(display=NAME))
+
+
+def test_a_folder_of_effects_that_is_missing_is_refused_in_a_line() -> None:
+    with pytest.raises(InputError, match=r"server\.effects = '/nowhere': cannot be read"):
+        load_effects("/nowhere")
+
+
 def test_an_e_stop_holds_until_it_is_cleared_and_needs_arming_then(program: Program) -> None:
     program.ask(m.ArmDisplay(display=NAME))
     (done,) = program.ask(m.EStop())
@@ -260,6 +333,8 @@ PERMISSIONS: dict[Any, set[str]] = {
     m.SetGain(display=NAME, gain=1.0): {"play"},
     m.Append(display=NAME, sample_rate_hz=1000.0, amplitude_um=1.0, samples=(0.0,)): {"play"},
     m.PlayEffect(display=NAME, amplitude_um=1.0): {"play"},
+    m.ListEffects(): set(),
+    m.PlayNamedEffect(display=NAME, effect="tap"): {"play"},
     m.DisarmDisplay(display=NAME): {"arm", "stop"},
     m.ArmDisplay(display=NAME): {"arm"},
     m.ClearEstop(display=NAME, estop=1): {"arm"},

@@ -16,7 +16,7 @@ from tactile.client.telemetry import AsyncTelemetryStream, TelemetryStream
 from tactile.client.waiting import AsyncClosing, Closing, blocking
 from tactile.client.waveform import Waveform, pause_after
 from tactile.errors import ClientTimeoutError, NotFoundError
-from tactile.messages import Done, Request, TextureInfo
+from tactile.messages import Done, EffectInfo, Request, TextureInfo
 
 if TYPE_CHECKING:
     from tactile.client.connection import AsyncConnection, Connection
@@ -414,6 +414,40 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         )
         await self._do(effect, timeout)
 
+    async def play_effect(
+        self: BaseDisplay, name: str, *, gain: float = 1.0, timeout: float | None = None
+    ) -> None:
+        """Play an effect of the server's folder, in place of the waveform that waits.
+
+        Parameters
+        ----------
+        name : str
+            Name of an effect, as in `effects`.
+        gain : float
+            Factor, 0 … 1.
+        timeout : float, optional
+            Longest wait for the answer [s].
+        """
+        number = wire.to_number(gain, "gain")
+        message = messages.PlayNamedEffect(display=self.name, effect=name, gain=number)
+        await self._do(message, timeout)
+
+    async def effects(self: BaseDisplay, *, timeout: float | None = None) -> tuple[EffectInfo, ...]:
+        """Return the effects that may be played by name.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait for the answer [s].
+
+        Returns
+        -------
+        tuple of EffectInfo
+            Effects that the server has.
+        """
+        request = messages.ListEffects()
+        return (await self._connection._request(request, messages.Effects, timeout)).effects
+
     async def transient(
         self: BaseDisplay,
         amplitude: float,
@@ -526,6 +560,8 @@ class RemoteDisplay(Closing, BaseDisplay):
     append = blocking(AsyncDisplay.append)
     play = blocking(AsyncDisplay.play)
     effect = blocking(AsyncDisplay.effect)
+    play_effect = blocking(AsyncDisplay.play_effect)
+    effects = blocking(AsyncDisplay.effects)
     transient = blocking(AsyncDisplay.transient)
     stats = blocking(AsyncDisplay.stats)
     textures = blocking(AsyncDisplay.textures)

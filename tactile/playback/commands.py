@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile.display.display import Display
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback.voice import ClientState
-from tactile.playback.waves import Curve
+from tactile.playback.waves import LONGEST, Curve
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 
@@ -149,6 +149,8 @@ class AppendSamples:
         Contactors that play them; empty for all.
     append : bool
         Whether they follow the samples that wait, or replace them.
+    longest : float
+        Largest duration of samples that may wait [s].
     """
 
     client: int
@@ -156,6 +158,7 @@ class AppendSamples:
     sample_rate: float
     contactors: tuple[int, ...]
     append: bool
+    longest: float = LONGEST
 
 
 @dataclass(frozen=True)

@@ -250,7 +250,7 @@ class Program:
         waves = self._player.voice(order.client).queue
         if not order.append:
             waves.clear()
-        taken = waves.append(order.samples, order.sample_rate, order.contactors)
+        taken = waves.append(order.samples, order.sample_rate, order.contactors, order.longest)
         return float(taken), waves.waiting
 
     # News

@@ -210,7 +210,13 @@ class WaveformQueue:
         """Duration of the samples that are still to be played [s]."""
         return sum(segment.left for segment in self._segments)
 
-    def append(self, samples: Singles, sample_rate: float, contactors: tuple[int, ...]) -> int:
+    def append(
+        self,
+        samples: Singles,
+        sample_rate: float,
+        contactors: tuple[int, ...],
+        longest: float = LONGEST,
+    ) -> int:
         """Add samples, as far as there is room.
 
         Parameters
@@ -221,14 +227,16 @@ class WaveformQueue:
             Sample rate [Hz].
         contactors : tuple of int
             Contactors that play them; empty for all.
+        longest : float
+            Largest duration of samples that may wait [s].
 
         Returns
         -------
         int
-            Number of samples that were taken: none beyond `LONGEST`, and none that would need a
+            Number of samples that were taken: none beyond ``longest``, and none that would need a
             segment more than `MOST_SEGMENTS`.
         """
-        room = int(max(LONGEST - self.waiting, 0.0) * sample_rate)
+        room = int(max(longest - self.waiting, 0.0) * sample_rate)
         plays = np.full(self._contactors, not contactors, np.float32)
         plays[list(contactors)] = 1
         last = self._segments[-1] if self._segments else None

@@ -28,6 +28,7 @@ from tactile.messages import (
 from tactile.playback import commands
 from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import failed, hint
+from tactile.server.effects import LONGEST_EFFECT, SAMPLE_RATE
 from tactile.server.playing import Playing
 from tactile.server.tasks import start_task
 from tactile.server.texture_store import TooManyPreparationsError
@@ -193,6 +194,8 @@ class Client:
             return m.Pong(time_us=command.time_us, server_time_us=int(loop_time() * 1e6))
         if isinstance(command, m.ListTextures):
             return m.Textures(textures=self._host.textures())
+        if isinstance(command, m.ListEffects):
+            return m.Effects(effects=tuple(e.info for e in self._host.effects.values()))
         if isinstance(command, m.EStop):
             return self._estop(command)
         assert not isinstance(command, m.ClientHello)
@@ -328,6 +331,24 @@ class Client:
         self._sounds_until = max(self._sounds_until, loop_time() + curve.end + ENDING)
         return m.Done()
 
+    async def _named_effect(self, playing: Playing, command: m.PlayNamedEffect) -> Answer:
+        effect = self._host.effects.get(command.effect)
+        if effect is None:
+            near = hint(command.effect, sorted(self._host.effects))
+            return failed("unknown_effect", f"no effect {command.effect!r}; {near}", field="effect")
+        failure = self._waveform_refusal(playing)
+        if failure is not None:
+            return failure
+        playing.state_of(self.number)
+        _, queued = await playing.request(
+            commands.AppendSamples(
+                self.number, np.float32(command.gain) * effect.shear, SAMPLE_RATE, (),
+                append=False, longest=LONGEST_EFFECT,
+            )
+        )  # fmt: skip
+        self._sounds_until = max(self._sounds_until, loop_time() + queued + ENDING)
+        return m.Done()
+
     @staticmethod
     def _estop_failure(playing: Playing) -> Failure:
         """Return the failure of a request while an e-stop holds."""
@@ -400,6 +421,7 @@ class Client:
         m.SetGain: (PLAY, _gain),
         m.Append: (PLAY, _append),
         m.PlayEffect: (PLAY, _effect),
+        m.PlayNamedEffect: (PLAY, _named_effect),
         m.ArmDisplay: (ARM, _arm),
         m.ClearEstop: (ARM, _clear),
         m.DisarmDisplay: (STOP, _disarm),

@@ -75,6 +75,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         Maximum number of clients.
     messages_per_second : int
         Maximum rate of messages of each client [1/s].
+    effects : str or None
+        Folder with the effects that clients play by name, such as ``tap.toml`` or ``tap.ahap``.
     """
 
     host: Annotated[str, Meta(min_length=1, max_length=253)] = "127.0.0.1"
@@ -85,6 +87,7 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     origins: tuple[Origin, ...] = ()
     most_clients: Annotated[int, Meta(ge=1, le=1000)] = 64
     messages_per_second: Annotated[int, Meta(ge=10, le=100_000)] = 2000
+    effects: str | None = None
 
 
 class TokenConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -260,6 +263,7 @@ def load_config(path: Path | None) -> Configuration:
             tables.server,
             token_file=_beside(folder, tables.server.token_file),
             socket=_beside(folder, tables.server.socket),
+            effects=_beside(folder, tables.server.effects),
         ),
         token=tuple(
             structs.replace(token, file=_beside(folder, token.file)) for token in tables.token

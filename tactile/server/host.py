@@ -19,6 +19,7 @@ from tactile.messages import EventMessage
 from tactile.paths import state_folder
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, load_config, load_configured
+from tactile.server.effects import StoredEffect, load_effects
 from tactile.server.estop_desk import EstopDesk
 from tactile.server.playing import Playing
 from tactile.server.preparation_queue import PreparationQueue
@@ -93,6 +94,8 @@ class Host:
     ----------
     playing : dict of str to Playing
         Displays by name, in the order of the configuration.
+    effects : dict of str to StoredEffect
+        Effects that clients play by name.
     tasks : set of asyncio.Task
         Tasks that nobody waits for.
     """
@@ -108,6 +111,7 @@ class Host:
         self._desk = EstopDesk()
         self._beating: asyncio.Task[None] | None = None
         self.playing: dict[str, Playing] = {}
+        self.effects: dict[str, StoredEffect] = {}
         self.tasks: set[asyncio.Task[None]] = set()
 
     async def start(self) -> None:
@@ -119,6 +123,7 @@ class Host:
             If a display cannot be opened; none is open then.
         """
         self._textures = shipped_textures()
+        self.effects = await asyncio.to_thread(load_effects, self._config.server.effects)
         self._preparation_queue.begin()
         self._beating = start_task(self._beat())
         try:
@@ -193,10 +198,11 @@ class Host:
         for entry in new:
             load_configured(entry)
         textures = await asyncio.to_thread(shipped_textures)  # takes longer than a heartbeat
+        effects = await asyncio.to_thread(load_effects, config.server.effects)
         after = {entry.name: before.pop(entry) for entry in config.display if entry in before}
         left = {playing.config.device: playing.latch for playing in before.values()}
         latches = await _latches(new, left, self._clock)
-        self._config, self._textures = config, textures
+        self._config, self._textures, self.effects = config, textures, effects
         await asyncio.gather(*(playing.end() for playing in before.values()))
         for entry, latch in latches.items():
             after[entry.name] = Playing(entry, latch, self._preparation_queue, self._broadcast)

@@ -77,6 +77,14 @@ def test_what_does_not_fit_is_not_taken_and_fits_when_some_was_played(rate: floa
     assert queue.append(one, rate, ()) == pytest.approx(room, abs=2)
 
 
+def test_more_than_a_second_waits_where_the_order_says_so() -> None:
+    queue = WaveformQueue(RATE, N)
+    long = np.ones(3 * int(RATE), np.float32)
+    assert queue.append(long, RATE, (), 2.0) == 2 * RATE
+    assert queue.waiting == pytest.approx(2.0)
+    assert queue.append(long, RATE, ()) == 0
+
+
 def test_what_is_replaced_fades_within_its_time_and_without_a_step() -> None:
     queue = WaveformQueue(RATE, N)
     queue.append(np.ones(4000, np.float32), RATE, ())

@@ -78,7 +78,15 @@ async def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
             await talker.link.send(mutated(rng, protocol))
         await talker.send(type="get_stats", display="right", id=77_777)
         while (found := await talker.receive()).get("id") != 77_777:
-            assert found["type"] in ("failure", "done", "textures", "appended", "stats", "pong")
+            assert found["type"] in (
+                "failure",
+                "done",
+                "textures",
+                "effects",
+                "appended",
+                "stats",
+                "pong",
+            )
         return most
 
     sent = 0

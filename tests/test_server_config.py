@@ -65,12 +65,13 @@ def test_paths_are_relative_to_the_file_and_shipped_names_stay(tmp_path: Path) -
     config = load_config(
         write(
             tmp_path,
-            '[server]\ntoken_file = "secret"\n[log]\nfile = "a.log"\n'
+            '[server]\ntoken_file = "secret"\neffects = "fx"\n[log]\nfile = "a.log"\n'
             '[[display]]\nname = "a"\ndisplay = "mine.toml"\n'
             '[[display]]\nname = "b"\ndisplay = "reference-64"\n',
         )
     )
     assert config.server.token_file == str(tmp_path / "secret")
+    assert config.server.effects == str(tmp_path / "fx")
     assert config.log.file == str(tmp_path / "a.log")
     assert [d.display for d in config.display] == [str(tmp_path / "mine.toml"), "reference-64"]
     assert config.path == tmp_path / "tactile.toml"

@@ -73,7 +73,7 @@ AT_HOME = {
     "PIL": {"texture.picture"},
     "matplotlib": {"show", "study"},
     "pymoo": {"study"},
-    "rich": {"bench.__init__", "cli", "show.live", "show.still"},
+    "rich": {"bench.__init__", "cli", "show.effect_view", "show.live", "show.still"},
     "typer": {"cli"},
 }
 """Libraries that only some rooms or modules may import."""

@@ -57,7 +57,7 @@ def test_play_gives_every_contactor_the_shear_of_the_effect(tap: Path, command: 
 
 def test_a_gain_multiplies_an_effect(tap: Path, command: Command) -> None:
     s = command("play", tap, "--gain", 2, "--device", "mock:", "--json").json
-    assert s["peak_shear_um"] == pytest.approx(20, rel=1e-2)  # the sine is sampled 39 times a turn
+    assert s["commanded"]["peak_um"] == pytest.approx(20, rel=1e-2)  # 39 samples a turn
 
 
 def test_too_strong_an_effect_is_limited(tap: Path, command: Command) -> None:
@@ -96,7 +96,7 @@ def test_files_of_others_play_without_a_conversion(name: str, command: Command) 
     s = command("play", sample(name), "--device", "mock:", "--json").json
     assert s["texture"] == Path(name).stem
     assert s["put_out_share"] == 1.0
-    assert s["peak_shear_um"] > 0
+    assert s["peak_drive_v"] > 0
     assert s["seconds"] == pytest.approx(duration(effect) + 2 * FADE, abs=2 / 8000)
 
 
@@ -122,9 +122,42 @@ def test_what_is_no_effect_is_refused_in_a_line(text: str, said: str, command: C
 
 
 def test_an_effect_has_no_automatic_gain(tap: Path, command: Command) -> None:
-    assert_mistake(command("play", tap, "--gain", "auto"), "cannot be used with the effect tap")
+    assert_mistake(
+        command("play", tap, "--gain", "auto"), "gain auto cannot be used with the effect tap"
+    )
 
 
 def test_a_link_of_spectrum_frames_refuses_an_effect(tap: Path, command: Command) -> None:
     device = "mock:?link=can"
     assert_mistake(command("play", tap, "--device", device), "tap: is an effect, and the link")
+
+
+# Show
+
+
+def test_show_draws_the_waveform_and_the_spectrum(tap: Path, command: Command) -> None:
+    """Nearly all of a tap of 206 Hz lies in the third octave of 200 Hz, at an rms of 10 µm / √2."""
+    result = command("show", tap)
+    assert (result.code, result.err) == (0, "")
+    assert "shear over 0.0243 s, −10 … 10 µm" in result.out
+    assert "spectrum of the effect" in result.out
+    assert max(map(len, result.out.splitlines())) <= 100
+    (band,) = [line for line in result.out.splitlines() if line.strip().startswith("200 ")]
+    assert "µm" in band
+    s = command("show", tap, "--json").json
+    assert s["peak_um"] == pytest.approx(10, rel=0.01)
+    assert s["rms_um"] == pytest.approx(10 / np.sqrt(2), rel=0.01)
+    strongest = int(np.argmax(s["third_octave_um"]))
+    assert s["third_octave_hz"][strongest] == pytest.approx(200)
+    assert s["third_octave_um"][strongest] == pytest.approx(10, rel=0.05)
+    assert 200 in s["felt_hz"]
+
+
+def test_show_writes_a_plot_of_an_effect(tap: Path, command: Command) -> None:
+    assert command("show", tap, "--plot", "tap.svg").out == "drawn: tap.svg\n"
+    assert Path("tap.svg").read_text().count('id="axes_') == 2
+
+
+def test_show_takes_no_speed_for_an_effect(tap: Path, command: Command) -> None:
+    said = f"--speed-mm-s cannot be used with {tap}, which is an effect"
+    assert_mistake(command("show", tap, "--speed-mm-s", 80), said)

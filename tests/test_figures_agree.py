@@ -71,7 +71,7 @@ def test_what_a_limit_takes_is_in_the_played_figures_of_both(display: Display) -
     """The limiter takes 6 dB; it acts on the samples of a stroke, not on a mean: within 1.5 dB."""
     texture = load_texture("leather-suede")
     line = Trajectory.line(speed=0.08, duration=5.0)
-    gain = 25.0
+    gain = 34.0
     stroke = run(display, texture, line, gain=gain)
     predicted = texture_strength(display, texture, gain=gain)
     assert_agree(stroke.commanded, predicted.figures)

@@ -387,7 +387,7 @@ def test_each_thing_that_a_phone_cannot_say_is_told(suffix: str, tmp_path: Path)
 def test_wavelets_that_cannot_be_decoded_are_told_wherever_they_are_not_heard(
     tmp_path: Path,
 ) -> None:
-    """Without the length of its blocks, a band of wavelets cannot be decoded."""
+    """A band of wavelets without the length of its blocks cannot be decoded."""
     path = tmp_path / "x.hjif"
     text = sample("hjif/synth2ch_8k_wav.hjif").read_text()
     path.write_text(re.sub(r'"block_length": ?128,', "", text))

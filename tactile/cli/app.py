@@ -32,7 +32,7 @@ COMMANDS = {
     "play": CommandEntry(PLAY, "Play a texture under a moving finger, or an effect."),
     "replay": CommandEntry(PLAY, "Render a recording again and compare it bit for bit."),
     "sheet": CommandEntry(PLAY, "Draw an overview of the shipped textures."),
-    "show": CommandEntry(PLAY, "Show the surface and the spectrum of a texture."),
+    "show": CommandEntry(PLAY, "Show a texture with its surface and spectrum, or an effect."),
     "strength": CommandEntry(PLAY, "Report how strongly a texture is felt on a display."),
     "textures": CommandEntry(PLAY, "List the shipped textures, or describe one of them."),
     "convert": CommandEntry(AUTHOR, "Convert haptic effects and textures to other formats."),

@@ -5,7 +5,7 @@ import sys
 from contextlib import nullcontext, suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -25,6 +25,7 @@ from tactile.cli.printing import print_facts
 from tactile.errors import InputError
 
 if TYPE_CHECKING:
+    from tactile.files import SourceFile
     from tactile.playback.outcome import Outcome
     from tactile.playback.runs import Summary
     from tactile.texture.formats.effect_shear import NamedEffect
@@ -111,7 +112,6 @@ def run(
     from tactile.display.display import load_with_source as load_display
     from tactile.playback import runs
     from tactile.playback.origin import Sources
-    from tactile.texture.surface import load_with_source as load_texture
 
     stroke = {
         "--speed-mm-s": speed_mm_s,
@@ -121,44 +121,62 @@ def run(
     }
     effect = _effect(texture, stroke, path)
     within("--sample-rate-hz", sample_rate_hz, 2500, 200000, 8000)
-    allowed = _percent(allow_loss)
+    allowed, factor = _percent(allow_loss), _gain(gain)
     loaded, display_source = load_display(display)
-    played: NamedEffect | tactile.Texture
-    sources = None
-    if effect is not None:
-        played, description = effect, effect.description
-        force = within("--normal-force-n", normal_force_n, *STROKE["--normal-force-n"])
-        trajectory = runs.at_rest(loaded, effect, normal_force=force)
-    else:
-        trajectory = _trajectory(path, stroke)
-        played, texture_source = load_texture(texture)
-        sources = Sources(display_source, texture_source)
-        description = played.descriptor.texture.description
-    factor = _gain(gain)
-    if factor == "auto" and effect is not None:
-        raise InputError(
-            f"--gain auto cannot be used with {texture}, which is an effect: give a number"
-        )
+    what = _effect_request(loaded, effect, stroke) or _texture_request(texture, path, stroke)
+    sources = None if what.source is None else Sources(display_source, what.source)
     watched = sys.stdout.isatty() and not (quiet or as_json)
     live, watch = (
         _live(loaded, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
     )
     with live:
         summary = runs.run(
-            loaded, played, trajectory,
+            loaded, what.played, what.trajectory,
             device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
-            sources=sources, watch=watch, realtime=watched,
-            accept_unsafe_hold=accept_unsafe_hold,
+            sources=sources, watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json or not quiet:
-        title = _title(summary.outcome, description)
-        rows = {"put out": _put_out(summary)}
-        if effect is None:
-            rows["stroke"] = _stroke_of(stroke, path)
-        elif effect.notes:
-            rows["effect"] = "; ".join(effect.notes)
+        title = _title(summary.outcome, what.description)
+        rows = {"put out": _put_out(summary)} | what.rows
         emit(summary.as_dict(), as_json, lambda facts: print_facts(rows | _report(facts), title))
     raise typer.Exit(_exit_code(summary, allowed))
+
+
+class _Request(NamedTuple):
+    """What is to be played, along which path, and how the report describes it."""
+
+    played: "tactile.Texture | NamedEffect"
+    trajectory: "tactile.Trajectory"
+    description: str
+    rows: dict[str, str]
+    source: "SourceFile | None"
+
+
+def _effect_request(
+    display: "tactile.Display", effect: "NamedEffect | None", stroke: dict[str, float | None]
+) -> _Request | None:
+    """Return the request for an effect, which plays on a finger at rest; None for a texture."""
+    from tactile.playback import runs
+
+    if effect is None:
+        return None
+    name = "--normal-force-n"
+    trajectory = runs.at_rest(
+        display, effect, normal_force=within(name, stroke[name], *STROKE[name])
+    )
+    rows = {"effect": "; ".join(effect.notes)} if effect.notes else {}
+    return _Request(effect, trajectory, effect.description, rows, None)
+
+
+def _texture_request(name: str, path: Path | None, stroke: dict[str, float | None]) -> _Request:
+    """Return the request for a stroke over a texture."""
+    from tactile.texture.surface import load_with_source
+
+    trajectory = _trajectory(path, stroke)
+    texture, source = load_with_source(name)
+    description = texture.descriptor.texture.description
+    rows = {"stroke": _stroke_of(stroke, path)}
+    return _Request(texture, trajectory, description, rows, source)
 
 
 def _effect(

@@ -380,25 +380,13 @@ def run(
         device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
-        waveform, surface = None, None
-        if isinstance(texture, NamedEffect):
-            if gain == "auto":
-                raise InputError(f"{texture.name}: is an effect, whose gain must be a number")
-            waveform = _waveform(display, replace(texture, gain=gain), rate)
-        else:
-            if gain == "auto":
-                largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
-                gain, summary.gain_limit = largest.value, largest.limit
-            surface = amplified(texture, gain) if gain != 1 else texture
+        if gain == "auto":
+            gain = _set_largest_gain(summary, display, texture, trajectory, seed)
         summary.gain = gain
+        surface, waveform = _amplified(display, texture, gain, rate)
         try:
             with guarded(bus, device), threadpool_limits(1):  # whose number changes the last bits
                 if bus.frames is not None:
-                    if surface is None:
-                        raise InputError(
-                            f"{texture.name}: is an effect, and the link takes spectrum frames, "
-                            "which play textures only"
-                        )
                     _play_frames(summary, display, surface, trajectory, bus, seed, record)
                 else:
                     renderer = Renderer(display, surface, sample_rate=rate, seed=seed)
@@ -422,9 +410,33 @@ def run(
     return summary
 
 
-def _waveform(display: Display, effect: NamedEffect, rate: float) -> Floats:
-    """Return the shear (S,) of an effect after the fade at the beginning of a stream [m]."""
-    return np.concatenate([np.zeros(round(display.limits.fade * rate)), effect.shear(rate)])
+def _set_largest_gain(
+    summary: Summary,
+    display: Display,
+    texture: Texture | NamedEffect,
+    trajectory: Trajectory,
+    seed: int,
+) -> float:
+    """Return the largest gain of a stroke; the summary names the limit that it reaches."""
+    if isinstance(texture, NamedEffect):
+        raise InputError(f"gain auto cannot be used with the effect {texture.name}: give a number")
+    rate = summary.sample_rate_hz
+    largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
+    summary.gain_limit = largest.limit
+    return largest.value
+
+
+def _amplified(
+    display: Display, texture: Texture | NamedEffect, gain: float, rate: float
+) -> tuple[Texture | None, Floats | None]:
+    """Return a texture with its gain, or the shear (S,) of an effect [m].
+
+    An effect begins after the fade at the beginning of a stream.
+    """
+    if isinstance(texture, NamedEffect):
+        fade = np.zeros(round(display.limits.fade * rate))
+        return None, np.concatenate([fade, replace(texture, gain=gain).shear(rate)])
+    return amplified(texture, gain) if gain != 1 else texture, None
 
 
 def _follow(
@@ -457,7 +469,7 @@ def _follow(
 def _play_frames(
     summary: Summary,
     display: Display,
-    texture: Texture,
+    texture: Texture | None,
     trajectory: Trajectory,
     bus: Bus,
     seed: int,
@@ -465,6 +477,11 @@ def _play_frames(
 ) -> None:
     """Play on a link that takes spectrum frames, and complete the summary."""
     assert bus.frames is not None
+    if texture is None:
+        raise InputError(
+            f"{summary.texture}: is an effect, and the link takes spectrum frames, which play "
+            "textures only"
+        )
     if record is not None:
         raise InputError("--record: the link takes spectrum frames, which have no samples")
     rate = bus.wiring.sample_rate

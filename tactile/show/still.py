@@ -29,7 +29,15 @@ from tactile.show.live import (
     nice,
     scale_line,
 )
-from tactile.show.views import NOMINAL, PIXELS, SIDE, View, facts, shown_bands
+from tactile.show.views import (
+    NOMINAL,
+    PIXELS,
+    SIDE,
+    StrokeSpectrum,
+    View,
+    facts,
+    shown_bands,
+)
 
 COLUMNS = (40, 24, 12)
 """Widths that a surface may have [characters]; each divides the number of its pixels, as half of it
@@ -90,7 +98,8 @@ def screen_lines(view: View, width: int, *, color: bool) -> list[Line]:
         *surface_lines(view.surface, columns, color=color),
     ]
     beside = width >= BESIDE
-    right = spectrum_lines(view, width - columns - 3 if beside else width)
+    head = f"spectrum at {view.speed * 1e3:g} mm/s, µm peak per third octave"
+    right = spectrum_lines(view.spectrum, head, width - columns - 3 if beside else width)
     body = [*left, [], *right]
     if beside:
         pairs: Iterator[tuple[Line, Line]]
@@ -133,13 +142,15 @@ def surface_lines(surface: Floats, columns: int, *, color: bool) -> list[Line]:
     return [*lines, scale_line(end, columns, columns, color=color)]
 
 
-def spectrum_lines(view: View, width: int) -> list[Line]:
+def spectrum_lines(s: StrokeSpectrum, head: str, width: int) -> list[Line]:
     """Draw each third octave as a logarithmic bar, with a mark at its threshold.
 
     Parameters
     ----------
-    view : View
-        View to draw.
+    s : StrokeSpectrum
+        Spectrum to draw.
+    head : str
+        Heading.
     width : int
         Largest width [characters].
 
@@ -148,11 +159,10 @@ def spectrum_lines(view: View, width: int) -> list[Line]:
     list of Line
         Lines of the picture.
     """
-    s, bands = view.spectrum, shown_bands(view.spectrum)
+    bands = shown_bands(s)
     low = BAR_LEVELS[0]
     high = max(BAR_LEVELS[1], nice(float(s.total.max(initial=1e-9)) * 1e6))
     length = int(np.clip(width - NAME_WIDTH - VALUE_WIDTH, 8, LONGEST_BAR))
-    head = f"spectrum at {view.speed * 1e3:g} mm/s, µm peak per third octave"
     scale = f"{low:g}".ljust(length - len(f"{high:g}")) + f"{high:g} µm, {MARK} just felt"
     lines: list[Line] = [[Segment(head, TITLE)], [Segment(f"{'Hz':>6} {scale}", LABEL)]]
     for band in bands:

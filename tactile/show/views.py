@@ -104,7 +104,7 @@ class StrokeSpectrum:
     @cached_property
     def total(self) -> Floats:
         """Peak of each third octave with all parts of the texture, (34,) [m]."""
-        gratings = _by_band(self.grating_frequency, self.grating_peak**2)
+        gratings = by_band(self.grating_frequency, self.grating_peak**2)
         return np.sqrt(self.waves**2 + self.events**2 + gratings)
 
     @cached_property
@@ -374,22 +374,54 @@ def texture_spectrum(
     factor = law_factor(texture, speed, normal_force)
     drawn, count = texture.partials, len(texture.amplitude)
     sounds = np.abs(drawn.wave_vector[:count, 0]) * speed / (2 * np.pi)
-    waves = _by_band(sounds, drawn.amplitude[:count] ** 2)
+    waves = by_band(sounds, drawn.amplitude[:count] ** 2)
     events = np.zeros(BANDS)
     for kind in texture.descriptor.events:
         events += 2 * np.diff(power_below(kind, 2 * np.pi * EDGES / speed))
     frequency, peak = _gratings(texture, speed)
     lines = commanded_lines(texture, speed=speed, normal_force=normal_force)
-    level = np.full(BANDS, -np.inf)
-    played = CENTER <= PASS_BAND * (1 + 1e-9)
-    level[played] = band_sensation(lines.frequency, lines.power)[: np.count_nonzero(played)]
+    level = felt_levels(lines.frequency, lines.power)
     return StrokeSpectrum(
         factor * np.sqrt(waves), factor * np.sqrt(events), frequency, factor * peak, level
     )
 
 
-def _by_band(frequency: Floats, power: Floats) -> Floats:
-    """Return the sums of power in each third octave, (34,)."""
+def felt_levels(frequency: Floats, power: Floats) -> Floats:
+    """Compute the sensation level of each third octave that is played.
+
+    Parameters
+    ----------
+    frequency : (K,) array of float
+        Frequencies of the lines of a spectrum [Hz].
+    power : (K,) array of float
+        Mean square displacement of each line [m²].
+
+    Returns
+    -------
+    (34,) array of float
+        Sensation levels, −inf for an empty band and beyond 1 kHz [dB SL].
+    """
+    level = np.full(BANDS, -np.inf)
+    played = CENTER <= PASS_BAND * (1 + 1e-9)
+    level[played] = band_sensation(frequency, power)[: np.count_nonzero(played)]
+    return level
+
+
+def by_band(frequency: Floats, power: Floats) -> Floats:
+    """Sum power in each third octave.
+
+    Parameters
+    ----------
+    frequency : (P,) array of float
+        Frequencies [Hz].
+    power : (P,) array of float
+        Power at each, in any unit.
+
+    Returns
+    -------
+    (34,) array of float
+        Sums, in the same unit.
+    """
     return np.histogram(frequency, EDGES, weights=power)[0]
 
 

@@ -34,8 +34,8 @@ ORDER, RIPPLE, REJECTION = 10, 0.01, 40.0
 SEGMENT = 0.5
 """Duration of the segments of which spectra are averaged, half overlapping [s]. Their lines are 2
 Hz apart."""
-SHORTEST = 0.05
-"""Shortest steady part that is measured [s]."""
+SHORTEST = 0.02
+"""Shortest steady part that is measured [s]; a tap of an effect lasts 22 ms."""
 STILL = 1e-12
 """Way from sample to sample below which a finger is at rest [m]."""
 ACROSS = 1e-6

@@ -17,7 +17,7 @@ from firmware_protocol.messages import Pcm, SampleFormat
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.arrays import Floats
-from tactile.bench.figures import HANDFUL, RATE, Figure, at_least, at_most, not_measured, seconds
+from tactile.bench.figures import RATE, Figure, at_least, at_most, not_measured, seconds
 from tactile.bus.wire_time import (
     FdTime,
     Stuffing,
@@ -52,6 +52,20 @@ QUIETER = 10 ** (-30 / 20)
 """Factor of a drive that is 30 dB down."""
 LARGEST = 2047 * 16
 """Code that all formats can represent, except for the last half step of BFP8."""
+HANDFUL = (
+    "abrasive-p120",
+    "foam-reticulated-30ppi",
+    "glass-ribbed",
+    "leather-calf",
+    "metal-knurled-rge08",
+    "paper-laid",
+    "plastic-acrylic-ribbed",
+    "rubber-crumb",
+    "stone-granite-flamed",
+    "textile-corduroy",
+    "wood-oak",
+)
+"""Shipped textures that represent all: one of each category, some with gratings or sparse events."""
 
 
 def oak_drive() -> Floats:

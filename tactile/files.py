@@ -205,7 +205,7 @@ def _check_depth(path: Path, text: str) -> None:
         raise InputError(f"{path}: has a key of more than {DEEPEST} parts, the most that may be")
 
 
-def parsed(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file.
 
     Parameters

@@ -249,6 +249,14 @@ def test_friction_comes_from_two_forces() -> None:
     assert friction.stick_slip == 0.0
 
 
+def test_a_force_that_is_never_more_than_a_touch_gives_a_range_around_its_mean() -> None:
+    """Its law was taken from no sample at all, which ended in an IndexError."""
+    recorded = slide(Surface(), 0.04)
+    force = np.full(len(recorded.signal), 0.02)
+    fit, _ = judging.fit_texture([replace(recorded, normal_force=force)], ABOUT)
+    assert fit.descriptor.laws.force_range_n == pytest.approx((0.02 / 1.15, 0.02 * 1.15), abs=1e-3)
+
+
 def test_recordings_of_two_kinds_are_refused() -> None:
     slides = [slide(Surface(), 0.04), slide(Surface(), 0.04, quantity="velocity")]
     with pytest.raises(InputError, match="velocity, calibrated; slide0 is acceleration"):

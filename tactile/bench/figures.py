@@ -13,22 +13,6 @@ from tactile.bus.link.stream import LEAD, LONGEST_LEAD, MOST_LEAD
 
 RATE = 8000.0
 """Sample rate of every drive that is measured [Hz]."""
-HANDFUL = (
-    "abrasive-p120",
-    "foam-reticulated-30ppi",
-    "glass-ribbed",
-    "leather-calf",
-    "metal-knurled-rge08",
-    "paper-laid",
-    "plastic-acrylic-ribbed",
-    "rubber-crumb",
-    "stone-granite-flamed",
-    "textile-corduroy",
-    "wood-oak",
-)
-"""Shipped textures that represent all in benchmarks that take seconds per texture: one of each
-category, gratings and sparse events among them. The set is fixed, so that the names of the
-figures stay the same as the library grows."""
 
 
 @dataclass(frozen=True)

@@ -129,14 +129,11 @@ def _texture_facts(t: "tactile.Texture", display: "tactile.Display") -> dict[str
 
 def _print_list(listed: list[dict[str, Any]]) -> None:
     """Print a line for each texture."""
-    columns = [
-        unwrapped("name"), "category", *right("µm rms", "dB SL"),
-        "provenance", "description",
-    ]  # fmt: skip
+    columns = [unwrapped("name"), *right("µm rms", "dB SL"), "provenance", "description"]
     rows = (
         (
-            t["name"], t["category"], f"{t['commanded']['vibration_um_rms']:.2f}",
-            f"{t['commanded']['level_db_sl']:+.0f}", t["provenance"], t["description"],
+            t["name"], f"{t['commanded']['vibration_um_rms']:.2f}",
+            f"{round(t['commanded']['level_db_sl']):+d}", t["provenance"], t["description"],
         )
         for t in listed
     )  # fmt: skip

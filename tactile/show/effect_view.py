@@ -16,12 +16,11 @@ from tactile.show.still import spectrum_lines
 from tactile.show.trace import braille
 from tactile.show.views import (
     BANDS,
-    NOMINAL,
     SAMPLE_RATE,
     StrokeSpectrum,
+    band_figures,
     by_band,
     felt_levels,
-    shown_bands,
 )
 from tactile.texture.formats.effect_shear import NamedEffect
 
@@ -102,18 +101,13 @@ def effect_figures(view: EffectView) -> dict[str, object]:
     dict of str to object
         Figures, with the unit at the end of each name.
     """
-    bands, s = shown_bands(view.spectrum), view.spectrum
     return {
         "name": view.effect.name,
         "description": view.effect.description,
         "seconds": view.effect.seconds,
         "rms_um": float(np.sqrt(np.mean(view.shear**2))) * 1e6,
         "peak_um": float(np.abs(view.shear).max()) * 1e6,
-        "third_octave_hz": NOMINAL[bands].tolist(),
-        "third_octave_um": (s.total[bands] * 1e6).tolist(),
-        "threshold_um": (s.threshold[bands] * 1e6).tolist(),
-        "level_db_sl": [float(x) if np.isfinite(x) else None for x in s.level[bands]],
-        "felt_hz": NOMINAL[bands][s.level[bands] > 0].tolist(),
+        **band_figures(view.spectrum),
         "notes": view.effect.notes,
     }
 

@@ -549,14 +549,34 @@ def view_figures(view: View) -> dict[str, object]:
         "played": asdict(view.played),
         "static_friction": None if friction is None else friction.static_coefficient,
         "kinetic_friction": None if friction is None else friction.kinetic_coefficient,
-        "third_octave_hz": NOMINAL[bands].tolist(),
-        "third_octave_um": (s.total[bands] * 1e6).tolist(),
-        "threshold_um": (s.threshold[bands] * 1e6).tolist(),
         "attainable_um": (np.interp(center, view.frequency, view.attainable) * 1e6).tolist(),
-        "level_db_sl": [float(x) if np.isfinite(x) else None for x in s.level[bands]],
-        "felt_hz": NOMINAL[bands][s.level[bands] > 0].tolist(),
+        **band_figures(s),
         "grating_hz": s.grating_frequency.tolist(),
         "grating_um": (s.grating_peak * 1e6).tolist(),
+    }
+
+
+def band_figures(spectrum: StrokeSpectrum) -> dict[str, object]:
+    """Return the third octaves of a spectrum that are shown as plain figures, for programs.
+
+    Parameters
+    ----------
+    spectrum : StrokeSpectrum
+        Spectrum.
+
+    Returns
+    -------
+    dict of str to object
+        Nominal centers, peaks, thresholds and sensation levels, and which bands are felt.
+    """
+    bands = shown_bands(spectrum)
+    level = spectrum.level[bands]
+    return {
+        "third_octave_hz": NOMINAL[bands].tolist(),
+        "third_octave_um": (spectrum.total[bands] * 1e6).tolist(),
+        "threshold_um": (spectrum.threshold[bands] * 1e6).tolist(),
+        "level_db_sl": [float(x) if np.isfinite(x) else None for x in level],
+        "felt_hz": NOMINAL[bands][level > 0].tolist(),
     }
 
 

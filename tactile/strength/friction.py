@@ -68,7 +68,7 @@ def steady_friction(
         if shear is not None:
             parts.append(np.broadcast_to(shear, (len(shear), contactors)))
     whole = np.concatenate(parts)
-    steady = whole[-round((SEGMENT + 1 / sample_rate) * sample_rate) :].astype(np.float64)
+    steady = whole[-round(SEGMENT * sample_rate) :].astype(np.float64)
     spectrum = PowerSpectrum(sample_rate, contactors)
     spectrum.add(steady)
     lines = spectrum.lines()

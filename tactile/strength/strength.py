@@ -799,7 +799,7 @@ def automatic_gain(
 
     Examples
     --------
-    Oak may be played 3.3 times as strong, or a little weaker for a level of 20 dB SL.
+    Oak may be played 4.4 times as strong, or a little stronger for a level of 20 dB SL.
 
     >>> import tactile
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")

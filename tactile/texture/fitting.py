@@ -536,9 +536,10 @@ def _laws(measured: RecordingMeasures, exponent: Floats) -> Laws:
 
 
 def _force_span(slide: Slide) -> Floats:
-    """Return the mean force of a recording, and what 90 % of its time lie between (3,) [N]."""
+    """Return the mean force of a recording, and what 90 % of its pressed time lie between [N]."""
     force = slide.recorded.normal_force
-    ends = np.zeros(0) if force is None else np.quantile(force[force > PRESSED], [0.05, 0.95])
+    pressed = np.zeros(0) if force is None else force[force > PRESSED]
+    ends = np.quantile(pressed, [0.05, 0.95]) if len(pressed) else pressed
     return np.append(ends, slide.force)
 
 

@@ -136,7 +136,7 @@ def is_effect(source: str | Path) -> bool:
         return path.suffix.lower() in LOADERS
     if not files.is_file(path):
         raise NotFoundError(f"{path}: no such file")
-    tables = files.parsed(path)
+    tables = files.read_toml(path)
     if "effect" not in tables and "texture" not in tables:
         raise InputError(
             f"{path}: neither a texture nor an effect: has no [texture] and no [effect]"

@@ -65,7 +65,7 @@ HANDFUL = (
     "textile-corduroy",
     "wood-oak",
 )
-"""Shipped textures that represent all: one of each category, some with gratings or sparse events."""
+"""Shipped textures that represent all: one of each category, some with gratings or events."""
 
 
 def oak_drive() -> Floats:

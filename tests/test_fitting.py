@@ -250,7 +250,7 @@ def test_friction_comes_from_two_forces() -> None:
 
 
 def test_a_force_that_is_never_more_than_a_touch_gives_a_range_around_its_mean() -> None:
-    """Its law was taken from no sample at all, which ended in an IndexError."""
+    """No sample is one of a pressing finger."""
     recorded = slide(Surface(), 0.04)
     force = np.full(len(recorded.signal), 0.02)
     fit, _ = judging.fit_texture([replace(recorded, normal_force=force)], ABOUT)

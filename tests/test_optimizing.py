@@ -1,6 +1,7 @@
 """Optimization against brute force, closed forms and random numbers of the tests' own."""
 
 import functools
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -374,6 +375,19 @@ def test_bulges_of_three_objectives_are_distances_from_the_plane_through_the_end
 
 
 # Bad input
+
+
+def test_without_xarray_the_extra_is_named_before_anything_is_searched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def progress(done: int, total: int) -> None:
+        raise AssertionError("the search began")
+
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    task = Task(bounds={"length_mm": (8.0, 40.0)}, objectives=("attainable",))
+    with pytest.raises(InputError, match=r"an optimization needs xarray: pip install"):
+        find_designs(task, progress)
+
 
 BOUNDS = {"length_mm": LENGTHS}
 BAD: dict[str, dict[str, Any]] = {

@@ -15,6 +15,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.files import nearest
 from tactile.study.criteria import CRITERIA, Conditions, Solved, numbers_of, variable
+from tactile.study.extras import study_extra
 from tactile.study.parameters import FINGERS, PARAMETERS, specimen
 from tactile.study.scenarios import Scenarios
 from tactile.study.searching import LARGE, Search, find_best, find_front, hypervolume
@@ -351,6 +353,8 @@ def find_designs(task: Task, progress: Progress = lambda done, total: None) -> "
         If no design meets the constraints (the message gives the nearest), no design has finite
         values, or a library is missing.
     """
+    with study_extra("an optimization"):
+        import_module("xarray")  # before the search, not after it
     low, high = np.array(list(task.bounds.values()), np.float64).T
     seek = find_best if len(task.objectives) == 1 else find_front
     search = seek(lambda x: scores(task, x), low, high, task.seed, progress)

@@ -384,7 +384,10 @@ def test_without_xarray_the_extra_is_named_before_anything_is_searched(
         raise AssertionError("the search began")
 
     monkeypatch.setitem(sys.modules, "xarray", None)
-    task = Task(bounds={"length_mm": (8.0, 40.0)}, objectives=("attainable",))
+    task = Task(
+        bounds={"length_mm": (8.0, 40.0)}, objectives=("attainable",),
+        conditions=Conditions(band=(10.0, 1000.0)), fixed={"load": "low"},
+    )  # fmt: skip
     with pytest.raises(InputError, match=r"an optimization needs xarray: pip install"):
         find_designs(task, progress)
 

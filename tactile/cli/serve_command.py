@@ -35,7 +35,9 @@ def run(
 
     def announce(server: "Server") -> None:
         line = f"{server.url} plays {names}; Ctrl-C ends it"
-        print(line, flush=True)  # also into a pipe, where a program waits for it
+        print(
+            f"{line}\n", end="", flush=True
+        )  # whole, also into a pipe where a program waits for it
 
     try:
         serve(settings, announce)

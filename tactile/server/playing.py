@@ -238,7 +238,7 @@ class Playing:
 
     def _announce(self, kind: str, detail: str, *, estop: int = 0) -> None:
         """Log an event and pass it on to the clients."""
-        log.info("%s: %s %s", self.config.name, kind, detail)
+        log.info("%s: %s", self.config.name, f"{kind} {detail}".rstrip())
         self._post(EventMessage(display=self.config.name, kind=kind, detail=detail, estop=estop))
 
     async def _supervise(self) -> None:

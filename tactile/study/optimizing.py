@@ -15,7 +15,6 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -353,8 +352,8 @@ def find_designs(task: Task, progress: Progress = lambda done, total: None) -> "
         If no design meets the constraints (the message gives the nearest), no design has finite
         values, or a library is missing.
     """
-    with study_extra("an optimization"):
-        import_module("xarray")  # before the search, not after it
+    with study_extra("an optimization"):  # before the search, not after it
+        import xarray  # noqa: F401
     low, high = np.array(list(task.bounds.values()), np.float64).T
     seek = find_best if len(task.objectives) == 1 else find_front
     search = seek(lambda x: scores(task, x), low, high, task.seed, progress)

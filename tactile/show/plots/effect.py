@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.show.effect_view import SPECTRUM_HEAD, EffectView
 from tactile.show.plots.style import BLUE, GRAY, axes_at, new_figure, plain
-from tactile.show.plots.texture import LEVELS, LOWEST, draw_spectrum
+from tactile.show.plots.texture import LEVELS, LOWEST, draw_spectrum, name_ticks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIZE = (10.0, 7.2)
+SIZE = (10.0, 7.4)
 """Width and height of the figure [inch]."""
+MOST_LINES = 4
+"""Maximum number of lines about the effect; `tactile play` and the terminal name all."""
 
 
 def effect_figure(view: EffectView) -> "Figure":
@@ -35,13 +37,11 @@ def effect_figure(view: EffectView) -> "Figure":
     """
     figure = new_figure(*SIZE)
     figure.set_layout_engine("none")
-    about = textwrap.shorten(view.effect.description, 110, placeholder=" …")
     figure.text(0.08, 1 - 0.4 / SIZE[1], view.effect.name, fontsize=15, weight="bold")
-    figure.text(0.08, 1 - 0.7 / SIZE[1], about, fontsize=11)
-    figure.text(
-        0.08, 1 - 0.95 / SIZE[1], textwrap.shorten("; ".join(view.facts), 130, placeholder=" …"),
-        fontsize=9, color=GRAY,
-    )  # fmt: skip
+    about = [] if view.effect.description == view.effect.name else [view.effect.description]
+    for k, line in enumerate([*about, *view.facts][:MOST_LINES]):
+        text = textwrap.shorten(line, 120, placeholder=" …")
+        figure.text(0.08, 1 - (0.65 + 0.2 * k) / SIZE[1], text, fontsize=9, color=GRAY)
     waveform = axes_at(figure, 0.8, 4.1, 8.6, 1.7)
     waveform.plot(view.time * 1e3, view.shear * 1e6, color=BLUE, linewidth=1.0)
     waveform.set(xlabel="time [ms]", ylabel="shear [µm]")
@@ -52,5 +52,6 @@ def effect_figure(view: EffectView) -> "Figure":
     spectrum.set(xlim=(LOWEST, PASS_BAND * 1.12), ylim=LEVELS)
     spectrum.set(xlabel="frequency [Hz]", ylabel="peak [µm]")
     spectrum.set_title(SPECTRUM_HEAD, fontsize=10, loc="left")
+    name_ticks(spectrum, LOWEST)
     plain(spectrum)
     return figure

@@ -162,6 +162,22 @@ def draw_spectrum(axes: "Axes", spectrum: StrokeSpectrum, *, bold: float = 1.0) 
     axes.set(xscale="log", yscale="log")
 
 
+def name_ticks(axes: "Axes", left: float) -> None:
+    """Write the ticks of a logarithmic spectrum as plain numbers.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Axes of the spectrum.
+    left : float
+        Lowest frequency that is shown [Hz].
+    """
+    ticks = [f for f in TICKS[:: 3 if left < WIDE else 1] if f >= left]
+    axes.set_xticks(ticks, [f"{f:g}" for f in ticks])
+    axes.set_xticks([], minor=True)
+    axes.yaxis.set_major_formatter("{x:g}")
+
+
 def _attainable(axes: "Axes", view: View) -> None:
     """Draw what full drive attains and the end of the band, and set the limits of the axes."""
     s = view.spectrum
@@ -175,10 +191,7 @@ def _attainable(axes: "Axes", view: View) -> None:
     left = min(LOWEST, EDGES[strong[0]]) / 1.26
     axes.set(xlim=(left, EDGES[-1]), ylim=(LEVELS[0], max(LEVELS[1], 2e6 * float(s.total.max()))))
     axes.set(xlabel="frequency [Hz]", ylabel="peak per third octave [µm]")
-    ticks = [f for f in TICKS[:: 3 if left < WIDE else 1] if f >= left]
-    axes.set_xticks(ticks, [f"{f:g}" for f in ticks])
-    axes.set_xticks([], minor=True)
-    axes.yaxis.set_major_formatter("{x:g}")
+    name_ticks(axes, left)
     _head(axes, f"spectrum at {view.speed * 1e3:g} mm/s")
     plain(axes)
     text = axes.text(np.sqrt(PASS_BAND * EDGES[-1]), LEVELS[0] * 1.5, "not played", rotation=90)

@@ -103,7 +103,11 @@ def test_onset_and_ramps_count_in_the_peak_alone(
 
 
 def test_a_finger_that_begins_late_has_its_onset_there(pair: Display) -> None:
-    """The shear is another in the second in which it rests."""
+    """The shear is another in the second in which it rests.
+
+    A tone that does not begin at a zero rings in the filter, which takes its first value for what
+    was always there: by less than 1 % of the mean over 0.8 s.
+    """
     position = np.outer(SPEED * np.maximum(TIME - 1.0, 0.0), [1.0, 0.0])
     late = np.where(TIME < 1.0625, 7e-6, TONE - 5e-6)
     result = figures(pair, position, wide(pair, late))
@@ -118,6 +122,7 @@ def test_a_stroke_without_a_steady_part_has_no_figures(pair: Display) -> None:
 
 
 def test_what_is_played_is_measured_on_the_same_samples(pair: Display) -> None:
+    """The filter rings at the beginning by less than 1 % of the mean."""
     meter = measured(pair, ALONG, wide(pair, TONE - 5e-6), wide(pair, TONE / 2 - 4e-6))
     assert meter.played is not None
     assert meter.played.vibration_um_rms == pytest.approx(0.5 / np.sqrt(2), rel=1e-2)

@@ -34,10 +34,8 @@ def run(
     names = ", ".join(f"{one.name} ({one.device})" for one in settings.display)
 
     def announce(server: "Server") -> None:
-        line = f"{server.url} plays {names}; Ctrl-C ends it"
-        print(
-            f"{line}\n", end="", flush=True
-        )  # whole, also into a pipe where a program waits for it
+        line = f"{server.url} plays {names}; Ctrl-C ends it\n"
+        print(line, end="", flush=True)  # whole, also into a pipe where a program waits for it
 
     try:
         serve(settings, announce)

@@ -28,7 +28,7 @@ from tactile.bench.figures import Figure, at_most
 from tactile.client import RemoteDisplay
 from tactile.display.display import load_display
 from tactile.errors import ClientError
-from tactile.playback.loop import BLOCK
+from tactile.playback.block_rendering import BLOCK
 
 NAME = "tactile-bench"
 """Name of the display. An e-stop that names it stops no other server's display."""

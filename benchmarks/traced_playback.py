@@ -1,6 +1,7 @@
 """Playback process that also records which contacts each of its blocks was rendered from."""
 
 import os
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +33,8 @@ class TracedLoop(PlaybackLoop):
     come when it was rendered, and the time at which it is due in the host's clock [s].
     """
 
-    def __post_init__(self) -> None:
-        """Prepare an empty trace."""
-        super().__post_init__()
+    def __init__(self, *words: Any, **options: Any) -> None:
+        super().__init__(*words, **options)
         self.tracker = self._counting = CountingTracker()
         self._trace: list[tuple[float, float, float]] = []
 

@@ -13,7 +13,8 @@ from tactile.bench.figures import RATE, Figure, at_most
 from tactile.bus.base import Wiring
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import load_display
-from tactile.playback.loop import BLOCK, PlaybackLoop
+from tactile.playback.block_rendering import BLOCK
+from tactile.playback.loop import PlaybackLoop
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.voice import Voice
 from tactile.playback.waves import BLOCK_WORK, Curve
@@ -77,9 +78,8 @@ def _microseconds(clients: int, curve: Curve | None, *, cuts: int = 0) -> tuple[
                 fill(voice, cuts=cuts)
         works.append(sum(voice.work(BLOCK) for voice in player.voices.values()))
         begun = time.thread_time_ns()
-        player._waves(BLOCK)
+        player._waves(BLOCK, block)
         taken.append(1e-3 * (time.thread_time_ns() - begun))
-        player.report.blocks += 1
     return float(np.mean(taken)), float(np.percentile(taken, 99)), float(np.mean(works))
 
 

@@ -18,7 +18,8 @@ from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
-from tactile.playback.loop import PlaybackLoop, SamplePlayback
+from tactile.playback.block_rendering import SamplePlayback
+from tactile.playback.loop import PlaybackLoop
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.voice import Voice
 from tactile.playback.waves import Curve
@@ -60,7 +61,7 @@ class Stage:
 
     @property
     def now(self) -> float:
-        return self.player.rendering.write_time(self.player.position)
+        return self.player.write_time(self.player.position)
 
     def touch(
         self, x: float, force: float = 0.5, client: int = ME, velocity: float | None = SPEED
@@ -365,9 +366,9 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
         player.keep(1, texture)
         player.voice(ME).state.layers = ((1, 1.0),)
         player.arm()
-        begun = player.rendering.write_time(0)
+        begun = player.write_time(0)
         for k in range(30):
-            now = player.rendering.write_time(k * player.rendering.spacing)
+            now = player.write_time(k * player.rendering.spacing)
             x = SPEED * (now - begun)
             memory.write_contact(ME, FingerSample(now, now, x, 0.0, 0.5, (SPEED, 0.0)))
             player.step()
@@ -412,7 +413,7 @@ def test_an_estop_or_a_fault_between_two_lines_of_a_block_is_no_error(
     """The bus is watched by another thread, which may stop it after a step has looked at it."""
     take = stage.player._take_contacts
 
-    def stopped() -> float | None:
+    def stopped() -> tuple[tuple[int, FingerSample], ...]:
         getattr(stage.bus, how)()
         return take()
 

@@ -36,7 +36,7 @@ from virtual_loop import Errors, LoopProcess
 
 from firmware_protocol.machine import PlayedRun
 from tactile.arrays import Floats
-from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
+from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, DriveFrame, Wiring
 from tactile.bus.chips.chip_bus import ChipBus
 from tactile.bus.registry import Address, register_bus
 from tactile.bus.simulated.line_model import Model
@@ -54,7 +54,8 @@ from tactile.estop.process import Desk, EstopReady, EstopSetup
 from tactile.playback import commands
 from tactile.playback import process as playback_process
 from tactile.playback.commands import DeviceOpened, PlaybackSetup
-from tactile.playback.loop import PlaybackLoop, SamplePlayback
+from tactile.playback.loop import PlaybackLoop
+from tactile.playback.mixer import BlockInput, Mixer
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.server import host, preparing
@@ -443,27 +444,26 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
         if id(bus) in world.by_bus:
             put_out(world.by_bus[id(bus)], volts)
 
-    def write(samples: SamplePlayback, *words: Any) -> None:
-        interrupt(samples._bus)
+    def render(loop: PlaybackLoop, block: BlockInput) -> DriveBlock | DriveFrame:
+        interrupt(loop.bus)
         world.clock.sleep(RENDERING)
-        real_write(samples, *words)
+        return Mixer.render(loop, block)
 
     def interrupt(bus: Any) -> None:
         if id(bus) in world.by_bus:
             world.by_bus[id(bus)].interrupt()
 
-    real_write = SamplePlayback.write
     logger = logging.getLogger("tactile")
     with ExitStack() as stack:
         stack.enter_context(patch.dict("tactile.bus.registry._drivers"))
         register_bus("mock", world.open_bus, MockOptions)
         stand_ins = {
             **_stand_ins(world),
-            "tactile.playback.loop.SamplePlayback.write": write,
             "tactile.bus.simulated.mock_bus.MockBus._put": put,
         }
         for name, instead in stand_ins.items():
             stack.enter_context(patch(name, instead))
+        stack.enter_context(patch.object(PlaybackLoop, "render", render))
         logger.addHandler(world.errors)
         stack.callback(logger.removeHandler, world.errors)
         stack.enter_context(closing(world))

@@ -26,7 +26,7 @@ from tactile.devices import open_bus
 from tactile.errors import BusStateError, TactileError
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
-from tactile.playback import commands, priority
+from tactile.playback import priority
 from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, PlaybackSetup
 from tactile.playback.loop import PlaybackLoop, state_of
 from tactile.playback.shared_memory import PlaybackMemory
@@ -191,22 +191,6 @@ class Program:
         """Execute an order; return its result."""
         player = self._player
         match order:
-            case commands.KeepTexture():
-                player.keep(order.number, order.texture)
-            case commands.DropTexture():
-                player.textures.pop(order.number, None)
-            case commands.SetState():
-                player.voice(order.client).state = order.state
-                player.refresh(order.client)
-            case commands.BeginEffect():
-                player.voice(order.client).effect.begin(order.curve)
-            case commands.AppendSamples():
-                return self._append(order)
-            case commands.EndWaves():
-                player.voice(order.client).queue.clear()
-                player.voice(order.client).effect.begin(None)
-            case commands.ForgetClient():
-                player.forget(order.client)
             case ArmDisplay():
                 self._check_may_arm()
                 if not player.running:  # arming would silence what others play
@@ -215,6 +199,8 @@ class Program:
                 player.disarm()
             case ClearEstop():
                 self._clear(order.estop)
+            case _:
+                return player.apply(order)
         return ()
 
     def _check_may_arm(self) -> None:
@@ -244,14 +230,6 @@ class Program:
             self._player.write_report()
         if self._latch.holds not in (0, estop):  # 0: another order has cleared the same before
             raise BusStateError(f"e-stop {self._latch.holds} holds, not {estop}")
-
-    def _append(self, order: commands.AppendSamples) -> tuple[float, ...]:
-        """Queue samples; return how many were taken, and the time of those that wait [s]."""
-        waves = self._player.voice(order.client).queue
-        if not order.append:
-            waves.clear()
-        taken = waves.append(order.samples, order.sample_rate, order.contactors, order.longest)
-        return float(taken), waves.waiting
 
     # News
 

@@ -1,0 +1,283 @@
+"""What a display plays, as a function of what arrives: textures, waves, contacts and times.
+
+A `Mixer` reads no clock and knows no bus. All that depends on time or chance reaches it as orders
+of the server, as the command to be silent before playing begins, and as the `BlockInput` of each
+block. Who passes the same to another mixer gets the same drive, bit for bit.
+
+The content of a block follows the mixing rule of `tactile.messages`: the textures of the client to
+which the finger belongs, and the waves of all clients.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile.arrays import Singles
+from tactile.bus.base import DriveBlock, DriveFrame, FrameCapability
+from tactile.display.display import Display
+from tactile.playback import commands
+from tactile.playback.block_rendering import BLOCK, FramePlayback, SamplePlayback
+from tactile.playback.voice import ClientState, Voice
+from tactile.playback.waves import TURN, affordable
+from tactile.rendering.layer import RealizedLayer
+from tactile.rendering.renderer import Ramp
+from tactile.rendering.spectrum import SpectrumRenderer
+from tactile.tracking.finger_sample import FingerSample
+from tactile.tracking.tracker import ContactTracker
+
+IN_AIR = 10 ** (-34 / 20)
+"""Gain of waves while nothing touches the display: an unloaded bimorph rings up by 34 dB
+(docs/guide/physics.md)."""
+MixerOrder = (
+    commands.KeepTexture | commands.DropTexture | commands.SetState | commands.AppendSamples
+    | commands.BeginEffect | commands.EndWaves | commands.ForgetClient
+)  # fmt: skip
+"""Order that changes what is rendered."""
+
+
+@dataclass(frozen=True)
+class BlockInput:
+    """All that a block is rendered from besides orders.
+
+    Attributes
+    ----------
+    number : int
+        Number of blocks that were played before.
+    position : int
+        Position of the block [samples].
+    skipped : bool
+        Whether positions before it were skipped, so that it fades in.
+    now : float
+        Time at which it is rendered, in the host's clock [s].
+    due : float
+        Time at which the sample that `SamplePlayback.timed` names is put out [s].
+    contacts : tuple of (int, FingerSample)
+        Contacts that arrived since the block before, each with the number of its client.
+    """
+
+    number: int
+    position: int
+    skipped: bool
+    now: float
+    due: float
+    contacts: tuple[tuple[int, FingerSample], ...]
+
+
+class Mixer:
+    """Renderer of all that clients play on one display.
+
+    Parameters
+    ----------
+    display : Display
+        Display to play.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    frames : FrameCapability or None
+        Frames that the link takes; None for a link that takes samples.
+    gain : float
+        Gain of the display, on top of that of each client.
+    worn : bool
+        Whether the finger stays on the display although it touches nothing.
+
+    Attributes
+    ----------
+    display : Display
+        Display to play.
+    textures : dict of int to RealizedLayer or SpectrumRenderer
+        Textures that are ready, by number.
+    voices : dict of int to Voice
+        Voice of each client.
+    rendering : SamplePlayback or FramePlayback
+        Rendering for the kind of link.
+    tracker : ContactTracker
+        Tracker of the finger.
+    place : (S, 2) array of float
+        Positions of the finger that the last block was rendered for [m].
+    force : (S,) array of float
+        Normal forces that the last block was rendered for [N].
+    dropped_waves : int
+        Number of blocks of a client's waves, and of transients, for which there was no time.
+    """
+
+    def __init__(
+        self,
+        display: Display,
+        sample_rate: float,
+        frames: FrameCapability | None,
+        *,
+        gain: float,
+        worn: bool,
+    ) -> None:
+        self.display, self.gain, self.worn = display, gain, worn
+        self.textures: dict[int, RealizedLayer | SpectrumRenderer] = {}
+        self.voices: dict[int, Voice] = {}
+        self.rendering: SamplePlayback | FramePlayback = (
+            SamplePlayback(display, sample_rate)
+            if frames is None
+            else FramePlayback(display, sample_rate, frames)
+        )
+        ContactTracker().at(np.zeros(BLOCK), 0.0)  # the first call is slow: make it before playing
+        self.tracker = ContactTracker()
+        self.place, self.force = np.zeros((1, 2)), np.zeros(1)
+        self.dropped_waves = self._client = 0
+        self._rate = sample_rate
+        step = 1 / (display.limits.fade * sample_rate)
+        self._air = Ramp(step, 1.0 if worn else IN_AIR)
+        self._touching = worn
+
+    # Orders
+
+    def keep(self, number: int, texture: RealizedLayer | SpectrumRenderer) -> None:
+        """Keep a texture ready under a number, and prepare it for its first block.
+
+        Parameters
+        ----------
+        number : int
+            Number of the texture.
+        texture : RealizedLayer or SpectrumRenderer
+            Texture realized for the display.
+        """
+        self.textures[number] = texture
+        self.rendering.warm_up(texture)
+
+    def voice(self, client: int) -> Voice:
+        """Return the voice of a client, which is created if there is none.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+
+        Returns
+        -------
+        Voice
+            Voice of the client.
+        """
+        if client not in self.voices:
+            self.voices[client] = Voice(self._rate, len(self.display.contactors))
+        return self.voices[client]
+
+    def forget(self, client: int) -> None:
+        """Fade out everything that a client plays.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        """
+        voice = self.voices.get(client)
+        if voice is not None:
+            voice.queue.clear()
+            voice.effect.begin(None)
+            voice.state.layers, voice.has_left = (), True
+            self.refresh(client)
+
+    def refresh(self, client: int) -> None:
+        """Play the textures that a client has selected, if the finger belongs to it.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client.
+        """
+        if client != self._client:
+            return
+        state = self.voices[client].state if client in self.voices else ClientState()
+        layers, gain = state.layers if state.sounds else (), self.gain * state.gain
+        self.rendering.play([(self.textures[n], g * gain) for n, g in layers if n in self.textures])
+
+    def apply(self, order: MixerOrder) -> tuple[float, ...]:
+        """Execute an order.
+
+        Parameters
+        ----------
+        order : MixerOrder
+            Order to execute.
+
+        Returns
+        -------
+        tuple of float
+            Result of the order.
+        """
+        match order:
+            case commands.KeepTexture():
+                self.keep(order.number, order.texture)
+            case commands.DropTexture():
+                self.textures.pop(order.number, None)
+            case commands.SetState():
+                self.voice(order.client).state = order.state
+                self.refresh(order.client)
+            case commands.BeginEffect():
+                self.voice(order.client).effect.begin(order.curve)
+            case commands.AppendSamples():
+                return self._append(order)
+            case commands.EndWaves():
+                self.voice(order.client).queue.clear()
+                self.voice(order.client).effect.begin(None)
+            case commands.ForgetClient():
+                self.forget(order.client)
+        return ()
+
+    def _append(self, order: commands.AppendSamples) -> tuple[float, ...]:
+        """Queue samples; return how many were taken, and the time of those that wait [s]."""
+        waves = self.voice(order.client).queue
+        if not order.append:
+            waves.clear()
+        taken = waves.append(order.samples, order.sample_rate, order.contactors, order.longest)
+        return float(taken), waves.waiting
+
+    def silence(self) -> None:
+        """Drop all waves and fade in, before playing begins: no earlier wave continues."""
+        self.rendering.restart()
+        for voice in self.voices.values():
+            voice.silence()
+
+    # Rendering
+
+    def render(self, block: BlockInput) -> DriveBlock | DriveFrame:
+        """Render a block.
+
+        Parameters
+        ----------
+        block : BlockInput
+            What the block is rendered from.
+
+        Returns
+        -------
+        DriveBlock or DriveFrame
+            Drive of all channels.
+        """
+        if block.skipped:
+            self.rendering.fade_in()
+        for client, sample in block.contacts:
+            self.tracker.add(sample)
+            if client != self._client:
+                self._client = client
+                self.refresh(client)
+        times = self.rendering.times(block.due)
+        self.place, self.force = self.tracker.at(times, block.now)
+        waves = self._waves(len(times), block.number)
+        return self.rendering.render(block.position, self.place, self.force, waves)
+
+    def _waves(self, count: int, number: int) -> Singles | None:
+        """Return the sum of all clients' waves (S, N) [m] that block ``number`` has time for."""
+        touching = self.worn or self.tracker.touching
+        if touching != self._touching:
+            self._touching = touching
+            self._air.to(1.0 if touching else IN_AIR)
+        work = {c: amount for c, voice in self.voices.items() if (amount := voice.work(count))}
+        chosen = affordable(work, number // TURN)
+        total: Singles | None = None
+        for client, voice in list(self.voices.items()):
+            dropped = client in work and client not in chosen
+            self.dropped_waves += dropped + voice.effect.dropped
+            voice.effect.dropped = 0
+            wave = voice.skip(count) if dropped else voice.take(count)
+            if wave is not None:
+                scaled = wave * np.float32(voice.state.gain * self.gain)
+                total = scaled if total is None else total + scaled
+            elif voice.has_left and client not in work:
+                del self.voices[client]
+        if total is None:
+            return None
+        return self._air(np.broadcast_to(total, (count, len(self.display.contactors))))

@@ -17,6 +17,7 @@ from tactile.playback.commands import DeviceOpened
 from tactile.server import preparation_queue, texture_store
 from tactile.server.children import Child
 from tactile.server.preparation_queue import PreparationQueue
+from tactile.server.preparing import Preparation
 from tactile.server.texture_store import MOST_TEXTURES, TextureStore, TooManyPreparationsError
 
 HOW = DeviceOpened(sample_rate=8000.0)
@@ -29,7 +30,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.queue = PreparationQueue()
-        self.kept: list[bytes] = []
+        self.kept: list[Preparation] = []
         self.dropped: list[int] = []
         self.selected: set[int] = set()
         self.ends: list[tuple[int, int]] = []

@@ -47,16 +47,21 @@ from tactile.bus.simulated.modeled_bus import (
     model_of,
     open_modeled,
 )
-from tactile.display.display import Display, load_display
+from tactile.display.display import Display, load_with_source
 from tactile.errors import TactileError
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.estop.process import Desk, EstopReady, EstopSetup
+from tactile.files import SourceFile
 from tactile.playback import commands
 from tactile.playback import process as playback_process
 from tactile.playback.commands import DeviceOpened, PlaybackSetup
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.mixer import BlockInput, Mixer
 from tactile.playback.process import Program
+from tactile.playback.session_messages import RecordingBegun, SessionSetup
+from tactile.playback.session_orders import TextureDescription
+from tactile.playback.session_recorder import LOOK, SessionRecorder, new_folder
+from tactile.playback.session_ring import SessionRing
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.server import host, preparing
 from tactile.server.config import Configuration
@@ -100,15 +105,19 @@ class PreparationProcess(Process):
     def receive(self, order: Any) -> None:
         assert isinstance(order, preparing.PreparationRequest)
         try:
-            keep = commands.KeepTexture(order.number, Stored(order))  # type: ignore[arg-type]
-            made = preparing.Preparation(order.number, pickle.dumps((order.number, keep)))
+            stored = Stored(order)
+            keep = commands.KeepTexture(order.number, stored)  # type: ignore[arg-type]
+            kept = preparing.order_number(order.number), keep
+            description = replace(stored.description, number=order.number)
+            made = preparing.Preparation(order.number, pickle.dumps(kept), description)
         except TactileError as error:
             made = preparing.Preparation(order.number, failure=str(error))
         self.clock.after(PREPARING, lambda: self.answer(made))
 
 
-PREPARED: dict[bytes, commands.PreparedTexture] = {}
-"""Textures that were prepared, by the pickles of requests but for their numbers."""
+PREPARED: dict[bytes, tuple[commands.PreparedTexture, TextureDescription]] = {}
+"""Textures that were prepared, with what they were realized from, by the pickles of requests but
+for their numbers."""
 
 
 class Stored:
@@ -118,13 +127,14 @@ class Stored:
         self._key = pickle.dumps(replace(request, number=0))
         if self._key not in PREPARED:
             PREPARED[self._key] = preparing.prepare(request)
+        self.description = PREPARED[self._key][1]
 
     def __reduce__(self) -> Any:
         return _prepared, (self._key,)
 
 
 def _prepared(key: bytes) -> commands.PreparedTexture:
-    return PREPARED[key]
+    return PREPARED[key][0]
 
 
 class PlaybackProcess(Process):
@@ -136,6 +146,7 @@ class PlaybackProcess(Process):
     within: Callable[[], object] | None = None
     """Done once in the middle of what the loop does next, as another thread would."""
     threads: tuple[Thread, ...] = ()
+    _ring: SessionRing | None = None
 
     def receive(self, order: Any) -> None:
         if isinstance(order, PlaybackSetup):
@@ -173,9 +184,13 @@ class PlaybackProcess(Process):
         file = int(self.handle(setup.latch).partition(":")[2])
         self._latch = Latch(f"fd:{os.dup(file)}", LatchWriter.PLAYBACK)
         clock = LinkTime(bus) if isinstance(bus, ModeledBus) else self.clock
+        if setup.session:
+            file = int(self.handle(setup.session).partition(":")[2])
+            self._ring = SessionRing(f"fd:{os.dup(file)}")
         player = PlaybackLoop(
-            setup.display, bus, self._memory, gain=setup.gain, worn=setup.worn, clock=clock
-        )
+            setup.display, bus, self._memory,
+            gain=setup.gain, worn=setup.worn, clock=clock, session=self._ring,
+        )  # fmt: skip
         self.program = Program(player, self._latch, self.answer)
         self.world.by_bus[id(bus)] = self
         self.answer(how)
@@ -216,11 +231,46 @@ class PlaybackProcess(Process):
             self.world.by_bus.pop(id(self.bus), None)
             self._latch.close()
             self._memory.close()
+            if self._ring is not None:
+                self._ring.close()
             vars(self.bus)["close"] = lambda: None  # what ends its threads is no end in good order
         self.clock.kill(*self.threads)
 
 
+class RecorderProcess(Process):
+    """The process that records a session: a real `SessionRecorder`."""
+
+    recorder: SessionRecorder | None = None
+
+    def receive(self, order: Any) -> None:
+        if isinstance(order, SessionSetup):
+            file = int(self.handle(order.ring).partition(":")[2])
+            self._ring = SessionRing(f"fd:{os.dup(file)}")
+            folder = new_folder(Path(order.folder), order.header.name)
+            self.recorder = SessionRecorder(folder, order.header, self._ring)
+            self.answer(RecordingBegun(str(folder)))
+            self._look()
+        else:
+            assert self.recorder is not None
+            self.recorder.take(order)
+
+    def _look(self) -> None:
+        if self.alive and self.recorder is not None:
+            self.recorder.turn(self.clock.now())
+            self.clock.after(LOOK, self._look)
+
+    def finish(self) -> None:
+        if self.recorder is not None:
+            self.recorder.turn(self.clock.now(), last=True)
+        self.kill()
+
+    def let_go(self) -> None:
+        if self.recorder is not None:
+            self._ring.close()
+
+
 KINDS: dict[str, type[Process]] = {
+    "tactile.playback.session_recorder": RecorderProcess,
     "tactile.playback.process": PlaybackProcess,
     "tactile.server.preparing": PreparationProcess,
     "tactile.estop.process": EstopProcess,
@@ -404,8 +454,8 @@ async def _inline(work: Callable[..., T], *words: Any) -> T:
 
 
 @functools.cache
-def _display(name: str) -> Display:
-    return load_display(name)
+def _display(name: str) -> tuple[Display, SourceFile]:
+    return load_with_source(name)
 
 
 _textures = functools.cache(host.shipped_textures)
@@ -419,7 +469,8 @@ def _stand_ins(world: World) -> dict[str, object]:
         "tactile.server.playing.Child": world.child,
         "tactile.server.estop_desk.Child": world.child,
         "tactile.server.preparation_queue.Child": world.child,
-        "tactile.server.config.load_display": _display,
+        "tactile.server.config.load_with_source": _display,
+        "tactile.server.session_recording.Child": world.child,
         "tactile.server.host.shipped_textures": lambda: dict(_textures()),
         "tactile.playback.process.threading": threads,
         "tactile.bus.base.threading": threads,

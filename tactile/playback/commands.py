@@ -45,6 +45,8 @@ class PlaybackSetup:
         Handle of the shared memory.
     latch : str
         Handle of the display's e-stop latch.
+    session : str
+        Handle of the ring for a recorder of the session; empty without one.
     """
 
     display: Display
@@ -56,6 +58,7 @@ class PlaybackSetup:
     worn: bool
     memory: str
     latch: str
+    session: str = ""
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,16 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback.block_rendering import FramePlayback
-from tactile.playback.mixer import BlockInput, Mixer
+from tactile.playback.mixer import BlockInput, Mixer, MixerOrder
 from tactile.playback.outcome import share_put_out
+from tactile.playback.session_ring import DUE_PLACES, SessionRing
 from tactile.playback.shared_memory import (
     PlaybackCounters,
     PlaybackMemory,
     PlaybackReport,
     State,
 )
-from tactile.tracking.finger_sample import FingerSample
+from tactile.tracking.finger_sample import TIME_PLACES, FingerSample
 
 MARGIN = 0.5e-3
 """Time for rendering a block before the bus wants it [s] (measured: 0.2 ms for 24 contactors)."""
@@ -73,6 +74,8 @@ class PlaybackLoop(Mixer):
         Whether the finger stays on the display although it touches nothing.
     clock : Clock
         Clock of the host, in which blocks are due.
+    session : SessionRing or None
+        Ring that receives all that is rendered from; None without a recorder.
 
     Attributes
     ----------
@@ -97,10 +100,12 @@ class PlaybackLoop(Mixer):
         gain: float = 1.0,
         worn: bool = False,
         clock: Clock = MONOTONIC,
+        session: SessionRing | None = None,
     ) -> None:
         rate = bus.wiring.sample_rate
         super().__init__(display, rate, bus.frames, gain=gain, worn=worn)
         self.bus, self.memory, self.clock = bus, memory, clock
+        self._session = session
         self.report = PlaybackReport(sample_rate=rate)
         self.position = self._skipped = 0
         self._unplayed_before = 0
@@ -118,6 +123,8 @@ class PlaybackLoop(Mixer):
         if isinstance(self.rendering, FramePlayback):
             self.bus.tune(self.rendering.carriers)
         self.silence()
+        if self._session is not None:
+            self._session.add_silence()
         self.position, self._unplayed_before = 0, self._unplayed
         self.bus.start()
         self.write_report()
@@ -126,6 +133,25 @@ class PlaybackLoop(Mixer):
         """Fade out and stop the bus."""
         self.bus.stop()
         self.write_report()
+
+    def execute(self, number: int, order: MixerOrder) -> tuple[float, ...]:
+        """Execute an order of the server.
+
+        Parameters
+        ----------
+        number : int
+            Number of the order.
+        order : MixerOrder
+            Order to execute.
+
+        Returns
+        -------
+        tuple of float
+            Result of the order.
+        """
+        if self._session is not None:
+            self._session.add_order(number)
+        return self.apply(order)
 
     # The loop
 
@@ -152,14 +178,14 @@ class PlaybackLoop(Mixer):
     def step(self) -> None:
         """Wait until it is time for a block, render it and play it."""
         self.clock.sleep(self.write_time(self.position) - MARGIN - self.clock.now())
-        now = self.clock.now()
+        now = round(self.clock.now(), TIME_PLACES)
         if not self.running:
             return
         skipped = self._catch_up(now)
         contacts = self._take_contacts()
         position = self.position
         self.position += self.rendering.spacing
-        due = self.bus.due(position + self.rendering.timed)
+        due = round(self.bus.due(position + self.rendering.timed), DUE_PLACES)
         block = BlockInput(self.report.blocks, position, skipped, now, due, contacts)
         drive = self.render(block)
         try:
@@ -171,6 +197,9 @@ class PlaybackLoop(Mixer):
             if self.running:
                 raise
             return  # an e-stop or a fault came since the state was read: nothing to play
+        finally:  # what was not played either, since the next block continues it
+            if self._session is not None:
+                self._session.add_block(block, drive)
         self._report_block(block)
 
     def _catch_up(self, now: float) -> bool:

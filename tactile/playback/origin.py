@@ -139,6 +139,24 @@ def present_versions() -> dict[str, str]:
     }
 
 
+def other_versions(before: dict[str, str]) -> dict[str, tuple[str, str]]:
+    """Return the versions that differ from those of a recording.
+
+    Parameters
+    ----------
+    before : dict of str to str
+        Versions at the time of the recording.
+
+    Returns
+    -------
+    dict of str to (str, str)
+        Versions at the time of the recording and now, where they differ.
+    """
+    now = present_versions()
+    pairs = {name: (before.get(name, "unknown"), now.get(name, "unknown")) for name in before | now}
+    return {name: (one, other) for name, (one, other) in pairs.items() if one != other}
+
+
 def _version(package: str) -> str:
     """Return the version of an installed package."""
     try:

@@ -29,6 +29,7 @@ from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback import priority
 from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, PlaybackSetup
 from tactile.playback.loop import PlaybackLoop, state_of
+from tactile.playback.session_ring import SessionRing
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.silence import SilenceTimer
 from tactile.processes import pipes_of_parent, received, send
@@ -178,7 +179,7 @@ class Program:
     def _answer(self, number: int, order: Order) -> None:
         """Execute an order, and send its result or failure."""
         try:
-            value = self._execute(order)
+            value = self._execute(number, order)
         except (TactileError, ValueError) as error:
             self._send(OrderAnswer(number, failure=str(error)))
         except Exception as error:  # playback continues, whatever was wrong with an order
@@ -187,7 +188,7 @@ class Program:
         else:
             self._send(OrderAnswer(number, value))
 
-    def _execute(self, order: Order) -> tuple[float, ...]:
+    def _execute(self, number: int, order: Order) -> tuple[float, ...]:
         """Execute an order; return its result."""
         player = self._player
         match order:
@@ -200,7 +201,7 @@ class Program:
             case ClearEstop():
                 self._clear(order.estop)
             case _:
-                return player.apply(order)
+                return player.execute(number, order)
         return ()
 
     def _check_may_arm(self) -> None:
@@ -367,7 +368,10 @@ def main() -> None:
         send(outward, DeviceOpened(why_not=str(error)))
         sys.exit(1)
     memory = PlaybackMemory(setup.memory, len(setup.display.contactors))
-    player = PlaybackLoop(setup.display, bus, memory, gain=setup.gain, worn=setup.worn)
+    session = SessionRing(setup.session) if setup.session else None
+    player = PlaybackLoop(
+        setup.display, bus, memory, gain=setup.gain, worn=setup.worn, session=session
+    )
     pipe = Pipe(inward, outward)
     program = Program(player, Latch(setup.latch, LatchWriter.PLAYBACK), pipe.say)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))

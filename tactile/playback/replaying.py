@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from tactile.arrays import Floats
 from tactile.display.display import Display, display_of
 from tactile.errors import InputError
-from tactile.playback.origin import Sources, present_versions
+from tactile.playback.origin import Sources, other_versions
 from tactile.playback.recording_reader import PATH, Recording, load_recording
 from tactile.playback.trajectory_playback import rendered
 from tactile.rendering.contact import Trajectory
@@ -130,11 +130,7 @@ def replay(path: str | Path) -> Replay:
         if str(error).startswith(str(path)):
             raise
         raise InputError(f"{path}: cannot be replayed: {error}") from error
-    before, now = recording.provenance.versions, present_versions()
-    for name in before | now:
-        one, other = before.get(name, "unknown"), now.get(name, "unknown")
-        if one != other:
-            result.other_versions[name] = one, other
+    result.other_versions = other_versions(recording.provenance.versions)
     return result
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bus.base import BusCounters
-from tactile.tracking.finger_sample import FingerSample
+from tactile.tracking.finger_sample import FingerSample, rounded
 
 CONTACTS = 256
 """Length of the ring of contacts: a quarter of a second at 1 kHz [entries]."""
@@ -144,8 +144,75 @@ class PlaybackReport:
     detail: str = ""
 
 
-class PlaybackMemory:
-    """Shared memory, mapped into the process.
+class SharedFile:
+    """File of shared memory, mapped into the process.
+
+    Parameters
+    ----------
+    handle : str
+        Handle of the memory, from the process that created it.
+    size : int
+        Size of the memory [bytes].
+
+    Attributes
+    ----------
+    handle : str
+        Handle of the memory, "fd:" with a descriptor or "file:" with a path.
+    """
+
+    def __init__(self, handle: str, size: int) -> None:
+        self.handle = handle
+        kind, _, target = handle.partition(":")
+        descriptor = int(target) if kind == "fd" else os.open(target, os.O_RDWR)
+        self._map = mmap.mmap(descriptor, size)
+        if kind != "fd":
+            os.close(descriptor)
+
+    @staticmethod
+    def new_file(size: int) -> str:
+        """Create memory full of zeros.
+
+        Parameters
+        ----------
+        size : int
+            Size of the memory [bytes].
+
+        Returns
+        -------
+        str
+            Handle of the memory.
+        """
+        if sys.platform == "linux":
+            descriptor = os.memfd_create("tactile")
+            handle = f"fd:{descriptor}"
+        else:
+            descriptor, name = tempfile.mkstemp(prefix="tactile-")
+            handle = f"file:{name}"
+        os.ftruncate(descriptor, size)
+        if sys.platform != "linux":
+            os.close(descriptor)
+        return handle
+
+    @property
+    def descriptor(self) -> int | None:
+        """Descriptor that a child process has to inherit; None for a file."""
+        kind, _, number = self.handle.partition(":")
+        return int(number) if kind == "fd" else None
+
+    def close(self) -> None:
+        """Release the memory; on systems other than Linux this also removes its file."""
+        with suppress(BufferError):
+            self._map.close()
+        kind, _, target = self.handle.partition(":")
+        with suppress(OSError):
+            if kind == "fd":
+                os.close(int(target))
+            else:
+                Path(target).unlink()
+
+
+class PlaybackMemory(SharedFile):
+    """Shared memory of a display: contacts, signs of life and the report.
 
     Parameters
     ----------
@@ -156,8 +223,6 @@ class PlaybackMemory:
 
     Attributes
     ----------
-    handle : str
-        Handle of the memory, "fd:" with a descriptor or "file:" with a path.
     shear : (N,) array of float32
         Last commanded shear [m].
     drive : (N,) array of float32
@@ -167,13 +232,7 @@ class PlaybackMemory:
     """
 
     def __init__(self, handle: str, contactors: int) -> None:
-        self.handle, kind = handle, handle.partition(":")[0]
-        target = handle.partition(":")[2]
-        descriptor = int(target) if kind == "fd" else os.open(target, os.O_RDWR)
-        size = AT_ARRAYS + 8 * contactors
-        self._map = mmap.mmap(descriptor, size)
-        if kind != "fd":
-            os.close(descriptor)
+        super().__init__(handle, AT_ARRAYS + 8 * contactors)
         arrays = np.frombuffer(self._map, np.float32, 2 * contactors, AT_ARRAYS)
         self.shear: NDArray[np.float32] = arrays[:contactors]
         self.drive: NDArray[np.float32] = arrays[contactors:]
@@ -194,37 +253,14 @@ class PlaybackMemory:
         PlaybackMemory
             New memory.
         """
-        size = AT_ARRAYS + 8 * contactors
-        if sys.platform == "linux":
-            descriptor = os.memfd_create("tactile")
-            handle = f"fd:{descriptor}"
-        else:
-            descriptor, name = tempfile.mkstemp(prefix="tactile-")
-            handle = f"file:{name}"
-        os.ftruncate(descriptor, size)
-        if sys.platform != "linux":
-            os.close(descriptor)
-        memory = cls(handle, contactors)
+        memory = cls(cls.new_file(AT_ARRAYS + 8 * contactors), contactors)
         memory.write_report(PlaybackReport())
         return memory
 
-    @property
-    def descriptor(self) -> int | None:
-        """Descriptor that a child process has to inherit; None for a file."""
-        kind, _, number = self.handle.partition(":")
-        return int(number) if kind == "fd" else None
-
     def close(self) -> None:
-        """Release the memory; on systems other than Linux this also removes its file."""
+        """Release the memory, as `SharedFile.close` does."""
         self.shear = self.drive = np.zeros(0, np.float32)
-        with suppress(BufferError):
-            self._map.close()
-        kind, _, target = self.handle.partition(":")
-        with suppress(OSError):
-            if kind == "fd":
-                os.close(int(target))
-            else:
-                Path(target).unlink()
+        super().close()
 
     # Signs of life
 
@@ -240,7 +276,7 @@ class PlaybackMemory:
     # Contacts
 
     def write_contact(self, client: int, sample: FingerSample) -> None:
-        """Add a contact.
+        """Add a contact, rounded so that a session holds exactly what is played.
 
         Parameters
         ----------
@@ -249,7 +285,7 @@ class PlaybackMemory:
         sample : FingerSample
             Sample of the finger.
         """
-        *numbers, velocity = sample
+        *numbers, velocity = rounded(sample)
         n, place = self._written, _place(self._written)
         NUMBER.pack_into(self._map, place, 2 * n + 1)
         CONTACT.pack_into(

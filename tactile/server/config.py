@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, structs
 
 from tactile import files
-from tactile.display.display import Display, load_display
+from tactile.display.display import Display, load_with_source
 from tactile.errors import InputError
 from tactile.messages import ALL_ROLES, Fraction, Name, Role
 
@@ -144,6 +144,19 @@ class LogConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     file: str | None = None
 
 
+class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Recording of sessions.
+
+    Attributes
+    ----------
+    folder : str or None
+        Folder that receives a folder for each display and each start of its playback; nothing is
+        recorded if there is none.
+    """
+
+    folder: Annotated[str, Meta(min_length=1)] | None = None
+
+
 class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Display that is played.
 
@@ -198,6 +211,8 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         Table ``[osc]``.
     log : LogConfig
         Table ``[log]``.
+    record : RecordConfig
+        Table ``[record]``.
     display : tuple of DisplayConfig
         Tables ``[[display]]``.
     """
@@ -206,6 +221,7 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     token: Annotated[tuple[TokenConfig, ...], Meta(max_length=MOST_TOKENS)] = ()
     osc: OscConfig = OscConfig()
     log: LogConfig = LogConfig()
+    record: RecordConfig = RecordConfig()
     display: tuple[DisplayConfig, ...] = (DisplayConfig(),)
 
     def __post_init__(self) -> None:
@@ -270,6 +286,7 @@ def load_config(path: Path | None) -> Configuration:
         ),
         osc=tables.osc,
         log=structs.replace(tables.log, file=_beside(folder, tables.log.file)),
+        record=structs.replace(tables.record, folder=_beside(folder, tables.record.folder)),
         display=tuple(
             structs.replace(display, display=_display(folder, display.display))
             for display in tables.display
@@ -291,8 +308,8 @@ def _display(folder: Path, name: str) -> str:
     return name if named else str(folder / name)
 
 
-def load_configured(config: DisplayConfig) -> Display:
-    """Load a display with the limits of the configuration.
+def load_configured(config: DisplayConfig) -> tuple[Display, files.SourceFile]:
+    """Load a display with the limits of the configuration, and the texts of its files.
 
     Parameters
     ----------
@@ -301,24 +318,26 @@ def load_configured(config: DisplayConfig) -> Display:
 
     Returns
     -------
-    Display
+    display : Display
         The display.
+    source : SourceFile
+        Texts of its files, without the limits of the configuration.
 
     Raises
     ------
     InputError
         If the display file cannot be used, or the configured limit is above that of the file.
     """
-    display = load_display(config.display)
+    display, source = load_with_source(config.display)
     if config.voltage_limit_v is None:
-        return display
+        return display, source
     if config.voltage_limit_v > display.limits.voltage:
         raise InputError(
             f"display {config.name}: voltage_limit_v = {config.voltage_limit_v:g} is above the "
             f"display file's {display.limits.voltage:g}; it may only be lower"
         )
     limits = replace(display.limits, voltage=config.voltage_limit_v)
-    return replace(display, limits=limits)
+    return replace(display, limits=limits), source
 
 
 def read_tokens(config: Configuration) -> list[tuple[bytes, frozenset[Role]]]:

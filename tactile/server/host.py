@@ -132,8 +132,9 @@ class Host:
             latches = await _latches(self._config.display, {}, self._clock)
             for config, latch in latches.items():
                 self.playing[config.name] = Playing(
-                    config, latch, self._preparation_queue, self._broadcast
-                )
+                    config, latch, self._preparation_queue, self._broadcast,
+                    self._config.record,
+                )  # fmt: skip
             await self._desk.start({name: playing.latch for name, playing in self.playing.items()})
             await self._inherit(latches)
             for playing in self.playing.values():
@@ -205,7 +206,9 @@ class Host:
         self._config, self._textures, self.effects = config, textures, effects
         await asyncio.gather(*(playing.end() for playing in before.values()))
         for entry, latch in latches.items():
-            after[entry.name] = Playing(entry, latch, self._preparation_queue, self._broadcast)
+            after[entry.name] = Playing(
+                entry, latch, self._preparation_queue, self._broadcast, self._config.record
+            )
         self.playing = {entry.name: after[entry.name] for entry in config.display}
         for playing in before.values():
             playing.close()
@@ -383,5 +386,6 @@ class Host:
                 "playback_alive": float(playing.alive),
                 "latency_seconds": r.latency,
                 "put_out_share": r.put_out_share,
+                **playing.session.figures(),
             }
         return figures

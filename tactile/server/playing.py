@@ -29,11 +29,13 @@ from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, Pl
 from tactile.playback.shared_memory import PlaybackMemory, PlaybackReport
 from tactile.playback.voice import ClientState
 from tactile.server.children import Child
-from tactile.server.config import DisplayConfig, load_configured
+from tactile.server.config import DisplayConfig, RecordConfig, load_configured
 from tactile.server.description import describe
 from tactile.server.finger import FingerOwnership
 from tactile.server.owners import CONFIGURATION, Owners
 from tactile.server.preparation_queue import PreparationQueue
+from tactile.server.preparing import Preparation, order_number
+from tactile.server.session_recording import SessionRecording
 from tactile.server.tasks import start_task
 from tactile.server.texture_store import TextureStore
 from tactile.tracking.finger_sample import FingerSample
@@ -89,6 +91,8 @@ class Playing:
         Queue that prepares textures.
     post : callable
         Function that is called with each `EventMessage`.
+    record : RecordConfig
+        Where sessions are recorded.
 
     Attributes
     ----------
@@ -110,6 +114,8 @@ class Playing:
         Owners of the high voltage.
     lost : bool
         Whether playback does not run: its device is not open yet, or its process died.
+    session : SessionRecording
+        Recording of what is played.
     child : Child or None
         Playback process.
     failure : str
@@ -122,8 +128,11 @@ class Playing:
         latch: Latch,
         preparation_queue: PreparationQueue,
         post: Callable[[EventMessage], None],
+        record: RecordConfig,
     ) -> None:
-        self.config, self.display = config, load_configured(config)
+        self.config = config
+        self.display, source = load_configured(config)
+        self.session = SessionRecording(config, self.display, source, record)
         self._loop = asyncio.get_running_loop()
         self.latch = latch
         self.memory = PlaybackMemory.create(len(self.display.contactors))
@@ -176,7 +185,8 @@ class Playing:
         """Start a playback process and wait until it has opened the device."""
         config, loop = self.config, asyncio.get_running_loop()
         log.info("%s: opening %s", config.name, config.device)
-        shared = self.memory.descriptor, self.latch.descriptor
+        ring = await self.session.renew()
+        shared = self.memory.descriptor, self.latch.descriptor, ring.descriptor if ring else None
         inherited = tuple(descriptor for descriptor in shared if descriptor is not None)
         self._device_opened = loop.create_future()
 
@@ -189,7 +199,7 @@ class Playing:
             PlaybackSetup(
                 self.display, config.device, config.rearm, config.sample_rate_hz,
                 config.accept_unsafe_hold, config.gain, config.worn, self.memory.handle,
-                self.latch.handle,
+                self.latch.handle, ring.handle if ring else "",
             )
         )  # fmt: skip
         try:
@@ -200,6 +210,7 @@ class Playing:
         if self.how.why_not:
             child.kill()
             raise BusError(f"display {config.name}: {self.how.why_not}")
+        self.session.begin(self.how)
         self.lost, self._since = False, self._loop.time()
         for refused in self.how.real_time:
             log.warning("%s: %s", config.name, refused)
@@ -239,6 +250,7 @@ class Playing:
     def _announce(self, kind: str, detail: str, *, estop: int = 0) -> None:
         """Log an event and pass it on to the clients."""
         log.info("%s: %s", self.config.name, f"{kind} {detail}".rstrip())
+        self.session.add_news(News(kind, detail))
         self._post(EventMessage(display=self.config.name, kind=kind, detail=detail, estop=estop))
 
     async def _supervise(self) -> None:
@@ -289,10 +301,12 @@ class Playing:
             self._supervisor.cancel()
         if self.child is not None:
             await self.child.end(ENDING)
+        await self.session.end()
 
     def close(self) -> None:
         """Release the memory that was shared with the process, after its end."""
         self.memory.close()
+        self.session.close()
 
     # Orders
 
@@ -320,6 +334,7 @@ class Playing:
         number = self._number
         future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
         self._pending[number] = future
+        self.session.add_order(number, order)
         self.child.send((number, order))
         try:
             async with asyncio.timeout(ANSWER):
@@ -523,10 +538,12 @@ class Playing:
         """
         await self.request(commands.SetState(client, replace(self.state_of(client))))
 
-    def _keep_texture(self, order: bytes) -> None:
+    def _keep_texture(self, prepared: Preparation) -> None:
         if self.child is None or self.lost:
             raise BusError("playback was lost")
-        self.child.send(order)
+        if prepared.description is not None:
+            self.session.add_order(order_number(prepared.number), prepared.description)
+        self.child.send(prepared.order)
 
     async def _drop_texture(self, number: int) -> None:
         await self.request(commands.DropTexture(number))

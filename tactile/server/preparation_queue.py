@@ -30,13 +30,13 @@ class Job:
         What to prepare.
     clients : set of int
         Numbers of the clients that wait.
-    order : asyncio.Future of bytes
-        Pickle of the order for playback.
+    answer : asyncio.Future of Preparation
+        Prepared texture.
     """
 
     request: preparing.PreparationRequest
     clients: set[int]
-    order: "asyncio.Future[bytes]"
+    answer: "asyncio.Future[preparing.Preparation]"
 
 
 class PreparationQueue:
@@ -51,7 +51,7 @@ class PreparationQueue:
 
     async def prepare(
         self, display: Display, texture: str, seed: int, how: DeviceOpened, clients: set[int]
-    ) -> tuple[int, bytes]:
+    ) -> preparing.Preparation:
         """Prepare a texture.
 
         Parameters
@@ -69,8 +69,8 @@ class PreparationQueue:
 
         Returns
         -------
-        tuple of int and bytes
-            Number of the texture, and the pickle of the order for playback to keep it.
+        Preparation
+            Prepared texture.
 
         Raises
         ------
@@ -78,13 +78,11 @@ class PreparationQueue:
             If the texture cannot be prepared, or nobody waits for it any more.
         """
         self._number += 1
-        request = preparing.PreparationRequest(
-            self._number, display, texture, seed, how.sample_rate, how.carriers, how.frame_rate
-        )
+        request = preparing.PreparationRequest(self._number, display, texture, seed, how)
         job = Job(request, clients, asyncio.get_running_loop().create_future())
         self._waiting.setdefault(min(clients, default=0), deque()).append(job)
         self._start_next()
-        return request.number, await job.order
+        return await job.answer
 
     def _start_next(self) -> None:
         """Pass the next texture to the process if it is idle; clients take turns."""
@@ -94,17 +92,17 @@ class PreparationQueue:
             job = jobs.popleft()
             if jobs:
                 self._waiting[client] = jobs  # the client is the last in turn now
-            if job.order.done():
+            if job.answer.done():
                 continue
             if not job.clients:
-                job.order.set_exception(BusError("nobody waits for the texture any more"))
+                job.answer.set_exception(BusError("nobody waits for the texture any more"))
                 continue
             try:
                 self.begin()
                 assert self._child is not None
                 self._child.send(job.request)
             except (OSError, BusError) as error:  # no descriptor or memory left
-                job.order.set_exception(BusError(f"no texture can be prepared: {error}"))
+                job.answer.set_exception(BusError(f"no texture can be prepared: {error}"))
                 continue
             self._job = job
             self._timeout = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
@@ -115,22 +113,22 @@ class PreparationQueue:
             self._kill()
             self._finish("the process that prepares textures has ended")
         elif self._job is not None and what.number == self._job.request.number:
-            self._finish(what.failure, what.order)
+            self._finish(what.failure, what)
         self._start_next()
 
-    def _finish(self, failure: str, order: bytes = b"") -> None:
-        """Complete the present job with an order, or with a failure."""
+    def _finish(self, failure: str, answer: preparing.Preparation | None = None) -> None:
+        """Complete the present job with an answer, or with a failure."""
         job, self._job = self._job, None
         if self._timeout is not None:
             self._timeout.cancel()
-        if job is None or job.order.done():
+        if job is None or job.answer.done():
             return
         if not failure and not job.clients:
             failure = "nobody waits for the texture any more"
-        if failure:
-            job.order.set_exception(BusError(failure))
+        if failure or answer is None:
+            job.answer.set_exception(BusError(failure))
         else:
-            job.order.set_result(order)
+            job.answer.set_result(answer)
 
     def _give_up(self, job: Job) -> None:
         """Give up a texture whose process hangs."""

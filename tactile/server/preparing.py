@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 from tactile.display.display import Display
 from tactile.errors import TactileError
-from tactile.playback.commands import KeepTexture, PreparedTexture
+from tactile.playback.commands import DeviceOpened, KeepTexture, PreparedTexture
+from tactile.playback.session_orders import TextureDescription, realized
 from tactile.processes import pipes_of_parent, received, send
-from tactile.rendering.layer import RealizedLayer
-from tactile.rendering.spectrum import SpectrumRenderer
-from tactile.texture.surface import load_texture
+from tactile.texture.surface import load_with_source
 
 NICE = 10
 """Niceness of the process, so that it yields to playback."""
@@ -35,21 +34,15 @@ class PreparationRequest:
         Name or file of the texture.
     seed : int
         Seed of its realization.
-    sample_rate : float
-        Rate of the drive [Hz].
-    carriers : int
-        Number of carriers of a spectrum frame; 0 for a link that takes samples.
-    frame_rate : float
-        Rate of spectrum frames [Hz].
+    how : DeviceOpened
+        How the device of the display plays.
     """
 
     number: int
     display: Display
     texture: str
     seed: int
-    sample_rate: float
-    carriers: int
-    frame_rate: float
+    how: DeviceOpened
 
 
 @dataclass(frozen=True)
@@ -61,17 +54,36 @@ class Preparation:
     number : int
         Number of the request.
     order : bytes
-        Pickle of (number, `KeepTexture`); empty after a failure.
+        Pickle of the order for playback; empty after a failure.
+    description : TextureDescription or None
+        What the texture was realized from; None after a failure.
     failure : str
         Reason why there is no texture; empty if there is one.
     """
 
     number: int
     order: bytes = b""
+    description: TextureDescription | None = None
     failure: str = ""
 
 
-def prepare(request: PreparationRequest) -> PreparedTexture:
+def order_number(texture: int) -> int:
+    """Return the number of the order to keep a texture, which no other order has.
+
+    Parameters
+    ----------
+    texture : int
+        Number of the texture, from 1.
+
+    Returns
+    -------
+    int
+        Number of the order, below 0; nothing waits for its answer.
+    """
+    return -texture
+
+
+def prepare(request: PreparationRequest) -> tuple[PreparedTexture, TextureDescription]:
     """Prepare a texture.
 
     Parameters
@@ -81,21 +93,19 @@ def prepare(request: PreparationRequest) -> PreparedTexture:
 
     Returns
     -------
-    PreparedTexture
+    texture : PreparedTexture
         Texture for a link that takes samples, or for one that takes spectrum frames.
+    description : TextureDescription
+        What it was realized from.
 
     Raises
     ------
     TactileError
         If the file of the texture cannot be used.
     """
-    texture = load_texture(request.texture)
-    if not request.carriers:
-        return RealizedLayer(request.display, texture, seed=request.seed)
-    return SpectrumRenderer(
-        request.display, texture, carriers=request.carriers, frame_rate=request.frame_rate,
-        sample_rate=request.sample_rate, seed=request.seed, whole_band=True,
-    )  # fmt: skip
+    texture, source = load_with_source(request.texture)
+    prepared = realized(request.display, texture, request.seed, request.how)
+    return prepared, TextureDescription(request.number, request.seed, source)
 
 
 def main() -> None:
@@ -106,8 +116,9 @@ def main() -> None:
     request: PreparationRequest
     for request in received(inward):
         try:
-            order = request.number, KeepTexture(request.number, prepare(request))
-            answer = Preparation(request.number, pickle.dumps(order, protocol=5))
+            texture, description = prepare(request)
+            order = order_number(request.number), KeepTexture(request.number, texture)
+            answer = Preparation(request.number, pickle.dumps(order, protocol=5), description)
         except (TactileError, OSError) as error:
             answer = Preparation(request.number, failure=str(error))
         try:

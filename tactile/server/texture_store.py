@@ -14,6 +14,7 @@ from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback.commands import DeviceOpened
 from tactile.server.preparation_queue import PreparationQueue
+from tactile.server.preparing import Preparation
 
 MOST_TEXTURES = 16
 """Maximum number of textures kept ready for one display; exceeded only by those that are
@@ -73,8 +74,7 @@ class TextureStore:
     queue : PreparationQueue
         Queue that prepares textures.
     keep : callable
-        Function that passes playback the order to keep a texture, which it may refuse by a
-        `BusError`.
+        Function that passes a prepared texture to playback, which it may refuse by a `BusError`.
     drop : callable
         Coroutine function that drops the texture with a number from playback.
     selected : callable
@@ -91,7 +91,7 @@ class TextureStore:
         display: Display,
         queue: PreparationQueue,
         *,
-        keep: Callable[[bytes], None],
+        keep: Callable[[Preparation], None],
         drop: Callable[[int], Awaitable[None]],
         selected: Callable[[], set[int]],
     ) -> None:
@@ -170,15 +170,15 @@ class TextureStore:
     async def _prepare(self, key: Key, how: DeviceOpened, clients: set[int]) -> int:
         """Prepare a texture for as long as clients wait for it; return its number."""
         try:
-            number, order = await self._queue.prepare(self._display, *key, how, clients)
-            await self._make_room(key[0], len(order))
-            self._keep(order)
-            self.ready[key] = StoredTexture(number, len(order))
+            prepared = await self._queue.prepare(self._display, *key, how, clients)
+            await self._make_room(key[0], len(prepared.order))
+            self._keep(prepared)
+            self.ready[key] = StoredTexture(prepared.number, len(prepared.order))
         finally:
             running = self._running.get(key)
             if running is not None and running.clients is clients:
                 del self._running[key]
-        return number
+        return prepared.number
 
     def leave(self, client: int) -> None:
         """Remove a client that has left from all waits; what others wait for is still prepared.

@@ -30,3 +30,34 @@ class FingerSample(NamedTuple):
     y: float
     normal_force: float
     velocity: tuple[float, float] | None = None
+
+
+TIME_PLACES, POSITION_PLACES, FORCE_PLACES, SPEED_PLACES = 6, 8, 4, 5
+"""Decimal places of times [s], positions [m], forces [N] and speeds [m/s]: 1 µs, 10 nm, 0.1 mN and
+10 µm/s, far below what a tracker resolves and a finger feels (assumed)."""
+
+
+def rounded(sample: FingerSample) -> FingerSample:
+    """Return a sample with as many decimal places as are played and recorded.
+
+    Parameters
+    ----------
+    sample : FingerSample
+        Sample of a finger; its numbers may be any.
+
+    Returns
+    -------
+    FingerSample
+        The sample, rounded.
+    """
+    time, arrival, x, y, force, velocity = sample
+    if velocity is not None:
+        velocity = round(velocity[0], SPEED_PLACES) + 0.0, round(velocity[1], SPEED_PLACES) + 0.0
+    return FingerSample(
+        round(time, TIME_PLACES),
+        round(arrival, TIME_PLACES),
+        round(x, POSITION_PLACES) + 0.0,  # no negative zero, which integers do not have
+        round(y, POSITION_PLACES) + 0.0,
+        round(force, FORCE_PLACES) + 0.0,
+        velocity,
+    )

@@ -1,0 +1,306 @@
+"""Files of a session: a folder of HDF5 files, each of which holds a part of it.
+
+A part is written whole under another name and then renamed, so that every part is complete whatever
+is killed. Columns of integers that change little are stored as their first value and then the
+differences, which compress best; their attribute ``coding`` says so.
+"""
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import InputError, NotFoundError
+from tactile.playback.mixer import BlockInput
+from tactile.playback.session_messages import FORMAT, SessionHeader
+from tactile.playback.session_ring import DUE_PLACES, Kind
+from tactile.tracking.finger_sample import (
+    FORCE_PLACES,
+    POSITION_PLACES,
+    SPEED_PLACES,
+    TIME_PLACES,
+    FingerSample,
+)
+
+LARGEST = 1e15
+"""Largest magnitude of a number that is stored; a contact with a larger one, or with one that is
+not finite, is stored as `INVALID`, since playback ignores it."""
+INVALID = np.iinfo(np.int64).min
+"""Time of a contact that is not valid."""
+DIGEST_BITS = 0xFFFF
+"""Bits of a block's digest that are stored. Each digest depends on all blocks before, so that the
+blocks after a difference show one that a single digest hides by chance."""
+CONTACT_PLACES = {
+    "time_us": TIME_PLACES,
+    "arrival_us": TIME_PLACES,
+    "x_10nm": POSITION_PLACES,
+    "y_10nm": POSITION_PLACES,
+    "normal_force_100un": FORCE_PLACES,
+    "velocity_x_10um_s": SPEED_PLACES,
+    "velocity_y_10um_s": SPEED_PLACES,
+}
+"""Columns of contacts, and the number of decimal places that they are integers of."""
+NAME = re.compile(r"part-(\d{6})\.h5")
+"""Names of the files."""
+
+
+@dataclass(frozen=True)
+class SessionBlock:
+    """Block of a session.
+
+    Attributes
+    ----------
+    rendered_from : BlockInput
+        What it was rendered from.
+    digest : int
+        `DIGEST_BITS` of the digest of all blocks up to this one.
+    """
+
+    rendered_from: BlockInput
+    digest: int
+
+
+@dataclass(frozen=True)
+class SessionEvent:
+    """Event between two blocks: an order, silence before playing, or lost records.
+
+    Attributes
+    ----------
+    kind : Kind
+        Kind of the event.
+    number : int
+        Number of the order, or of lost records.
+    """
+
+    kind: Kind
+    number: int
+
+
+class SessionPart:
+    """Part of a session, as it was read.
+
+    Parameters
+    ----------
+    path : Path
+        File of the part.
+
+    Attributes
+    ----------
+    header : SessionHeader
+        What the session was played with.
+    orders : list of bytes
+        Orders that the server sent while the part was recorded, as lines of JSON.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            with h5py.File(path, "r") as file:
+                text = bytes(file["header"][:])
+                self._columns = {
+                    f"{table}/{name}": _plain(file[table][name])
+                    for table in ("blocks", "contacts", "events")
+                    for name in file[table]
+                }
+                self.orders = bytes(file["orders"][:]).splitlines()
+        except (OSError, KeyError, ValueError) as error:
+            raise InputError(f"{path}: is no part of a session: {error}") from error
+        try:
+            self.header = msgspec.json.decode(text, type=SessionHeader)
+        except msgspec.MsgspecError as error:
+            raise InputError(f"{path}: header: {error}") from error
+        if self.header.format != FORMAT:
+            raise InputError(
+                f"{path}: has format {self.header.format}, must be {FORMAT}; use the version of "
+                f"tactile that recorded it, {self.header.versions.get('tactile', 'unknown')}"
+            )
+
+    def __iter__(self) -> Iterator[SessionBlock | SessionEvent]:
+        """Yield blocks and the events between them, in their order."""
+        c = {name: column.tolist() for name, column in self._columns.items()}
+        contacts = self._contacts()
+        events = [
+            SessionEvent(Kind(kind), number)
+            for kind, number in zip(c["events/kind"], c["events/number"], strict=True)
+        ]
+        before = c["events/before_block"]
+        done = taken = 0
+        for k, count in enumerate(c["blocks/contacts"]):
+            while done < len(events) and before[done] <= k:
+                yield events[done]
+                done += 1
+            yield SessionBlock(
+                BlockInput(
+                    c["blocks/number"][k], c["blocks/position"][k], bool(c["blocks/skipped"][k]),
+                    c["blocks/now_us"][k] / 10**TIME_PLACES,
+                    c["blocks/due_ns"][k] / 10**DUE_PLACES,
+                    tuple(contacts[taken : taken + count]),
+                ),
+                c["blocks/digest"][k],
+            )  # fmt: skip
+            taken += count
+        yield from events[done:]
+
+    def _contacts(self) -> list[tuple[int, FingerSample]]:
+        """Return the contacts, each with its client."""
+        c = self._columns
+        time, arrival, x, y, force, vx, vy = (
+            np.where(c["contacts/time_us"] == INVALID, np.nan, c[f"contacts/{name}"] / 10**places)
+            for name, places in CONTACT_PLACES.items()
+        )
+        known = c["contacts/velocity_known"]
+        return [
+            (client, FingerSample(t, at, px, py, f, (u, v) if has else None))
+            for client, has, t, at, px, py, f, u, v in zip(
+                *(
+                    column.tolist()
+                    for column in (c["contacts/client"], known, time, arrival, x, y, force, vx, vy)
+                ),
+                strict=True,
+            )
+        ]
+
+
+def parts(folder: str | Path) -> Iterator[SessionPart]:
+    """Yield the parts of a session.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the session.
+
+    Yields
+    ------
+    SessionPart
+        Each part, in order.
+
+    Raises
+    ------
+    NotFoundError
+        If the folder holds no part.
+    InputError
+        If a part is missing or cannot be read.
+    """
+    folder = Path(folder)
+    numbered = {
+        int(match[1]): path
+        for path in (folder.iterdir() if folder.is_dir() else ())
+        if (match := NAME.fullmatch(path.name))
+    }
+    if not numbered:
+        raise NotFoundError(f"{folder}: holds no session: there is no part-000001.h5")
+    for number in range(1, max(numbered) + 1):
+        if number not in numbered:
+            raise InputError(
+                f"{folder}: part-{number:06d}.h5 is missing, without which what follows cannot be "
+                "rendered"
+            )
+        yield SessionPart(numbered[number])
+
+
+def write_part(
+    folder: Path,
+    number: int,
+    header: SessionHeader,
+    records: NDArray[np.void],
+    orders: bytes,
+    events: bytes,
+) -> int:
+    """Write a part of a session.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the session.
+    number : int
+        Number of the part, from 1.
+    header : SessionHeader
+        What the session is played with.
+    records : (R,) array of `tactile.playback.session_ring.RECORD`
+        Records of playback.
+    orders : bytes
+        Orders of the server, as lines of JSON.
+    events : bytes
+        Events of the display, as lines of JSON.
+
+    Returns
+    -------
+    int
+        Size of the file [bytes].
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    new = folder / f"part-{number:06d}.new"
+    with h5py.File(new, "w", libver="latest") as file:
+        file["header"] = np.frombuffer(msgspec.json.encode(header), np.uint8)
+        for name, text in (("orders", orders), ("messages", events)):
+            _write(file, name, np.frombuffer(text, np.uint8))
+        for name, column in _columns(records).items():
+            _write(file, name, column)
+    size = new.stat().st_size
+    os.replace(new, folder / f"part-{number:06d}.h5")
+    return size
+
+
+def _columns(records: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
+    """Return the columns of a part."""
+    kind, number, values = records["kind"], records["number"], records["values"]
+    is_block, is_contact = kind == Kind.BLOCK, kind == Kind.CONTACT
+    is_event = ~(is_block | is_contact)
+    before = np.cumsum(is_block)
+    position, now, due = values[is_block, :3].T
+    contacts = values[is_contact]
+    valid = (np.abs(contacts) < LARGEST).all(axis=1)  # False for NaN
+    contacts = np.where(valid[:, None], contacts, 0.0)
+    columns: dict[str, NDArray[np.generic]] = {
+        "blocks/number": number[is_block],
+        "blocks/position": position.astype(np.int64),
+        "blocks/skipped": records["flag"][is_block],
+        "blocks/now_us": _whole(now, TIME_PLACES),
+        "blocks/due_ns": _whole(due, DUE_PLACES),
+        "blocks/contacts": np.diff(np.cumsum(is_contact)[is_block], prepend=0).astype(np.uint16),
+        "blocks/digest": (records["digest"][is_block] & DIGEST_BITS).astype(np.uint16),
+        "contacts/client": number[is_contact],
+        "contacts/velocity_known": records["flag"][is_contact],
+        "events/before_block": before[is_event].astype(np.int64),
+        "events/kind": kind[is_event],
+        "events/number": number[is_event],
+    }
+    for (name, places), column in zip(CONTACT_PLACES.items(), contacts.T, strict=True):
+        columns[f"contacts/{name}"] = _whole(column, places)
+    columns["contacts/time_us"][~valid] = INVALID
+    return columns
+
+
+def _whole(column: NDArray[np.float64], places: int) -> NDArray[np.int64]:
+    """Return numbers that have so many decimal places as integers."""
+    whole: NDArray[np.int64] = np.rint(column * 10**places).astype(np.int64)
+    return whole
+
+
+def _write(file: h5py.File, name: str, column: NDArray[np.generic]) -> None:
+    """Write a column, compressed."""
+    differs = column.dtype == np.int64
+    if differs:
+        column = np.diff(column, prepend=np.int64(0))
+    packing = (
+        {"shuffle": True, "compression": "gzip", "chunks": column.shape} if column.size else {}
+    )
+    dataset = file.create_dataset(name, data=column, **packing)
+    if differs:
+        dataset.attrs["coding"] = "first value, then differences"
+
+
+def _plain(dataset: h5py.Dataset) -> NDArray[np.generic]:
+    """Return the values of a column."""
+    column: NDArray[np.generic] = dataset[:]
+    return np.cumsum(column) if "coding" in dataset.attrs else column

@@ -1,0 +1,192 @@
+"""Replay of a session: its drive is rendered again from the session alone and compared."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from tactile.bus.base import DriveBlock, DriveFrame, FrameCapability
+from tactile.display.display import Display, display_of
+from tactile.errors import InputError
+from tactile.playback.commands import KeepTexture
+from tactile.playback.mixer import Mixer
+from tactile.playback.origin import other_versions
+from tactile.playback.session_messages import SessionHeader
+from tactile.playback.session_orders import SessionOrder, TextureDescription, decoded, realized
+from tactile.playback.session_parts import (
+    DIGEST_BITS,
+    SessionBlock,
+    SessionEvent,
+    SessionPart,
+    parts,
+)
+from tactile.playback.session_ring import Kind, next_digest
+from tactile.texture.surface import texture_of
+
+
+@dataclass
+class SessionReplay:
+    """Comparison of the drive of a session with the same drive rendered again.
+
+    Attributes
+    ----------
+    session : str
+        Folder of the session.
+    compared_blocks : int
+        Number of blocks that were compared.
+    duration_s : float
+        Time from the first block to the last [s].
+    first_block : int or None
+        Index of the first block that differs, from 0; None if none does.
+    first_time_s : float or None
+        Time of that block since the first block [s].
+    lost_records : int
+        Number of records that the recorder missed; what follows them was not compared.
+    other_versions : dict of str to (str, str)
+        Versions at the time of the recording and now, where they differ.
+    """
+
+    session: str
+    compared_blocks: int = 0
+    duration_s: float = 0.0
+    first_block: int | None = None
+    first_time_s: float | None = None
+    lost_records: int = 0
+    other_versions: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether the whole session was compared and nothing differs."""
+        return self.first_block is None and not self.lost_records
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the comparison as plain data.
+
+        Returns
+        -------
+        dict of str to object
+            Fields by name, and ``is_identical``.
+        """
+        return asdict(self) | {"is_identical": self.is_identical}
+
+
+class _Player:
+    """Mixer of a session, and the orders that have been read."""
+
+    def __init__(self, folder: Path, header: SessionHeader) -> None:
+        how = self._how = header.how
+        display = display_of(header.display, folder)
+        limits = replace(display.limits, voltage=header.voltage_limit_v)
+        self._display: Display = replace(display, limits=limits)
+        frames = FrameCapability(how.carriers, how.frame_rate) if how.carriers else None
+        self.mixer = Mixer(
+            self._display, how.sample_rate, frames, gain=header.gain, worn=header.worn
+        )
+        self._folder = folder
+        self._orders: dict[int, SessionOrder] = {}
+
+    def read(self, part: SessionPart) -> None:
+        """Take the orders of a part."""
+        self._orders.update(map(decoded, part.orders))
+
+    def execute(self, number: int) -> None:
+        """Execute an order as playback did, which answers an error and plays on."""
+        if number not in self._orders:
+            raise InputError(f"order {number} is missing")
+        order = self._orders.pop(number)
+        if isinstance(order, TextureDescription):
+            texture = texture_of(order.source, self._folder)
+            prepared = realized(self._display, texture, order.seed, self._how)
+            self.mixer.apply(KeepTexture(order.number, prepared))
+            return
+        with suppress(Exception):
+            self.mixer.apply(order)
+
+
+def render_session(
+    folder: Path,
+) -> Iterator[tuple[SessionBlock | SessionEvent, DriveBlock | DriveFrame | None]]:
+    """Yield the blocks of a session, rendered again.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the session.
+
+    Yields
+    ------
+    what : SessionBlock or SessionEvent
+        Block, or the event that records were lost, which is the last.
+    drive : DriveBlock or DriveFrame or None
+        Drive of the block; None for an event.
+
+    Raises
+    ------
+    NotFoundError, InputError
+        If the session cannot be read, or holds something that this version cannot render.
+    """
+    player: _Player | None = None
+    for part, following in pairwise(_with_end(parts(folder))):
+        assert part is not None
+        if player is None:
+            player = _Player(folder, part.header)
+            player.read(part)
+        if following is not None:
+            player.read(following)  # an order may be recorded shortly after its execution
+        for what in part:
+            if isinstance(what, SessionBlock):
+                yield what, player.mixer.render(what.rendered_from)
+            elif what.kind is Kind.ORDER:
+                player.execute(what.number)
+            elif what.kind is Kind.SILENCE:
+                player.mixer.silence()
+            else:
+                yield what, None
+                return
+
+
+def _with_end(all_parts: Iterator[SessionPart]) -> Iterator[SessionPart | None]:
+    """Yield all parts and then None."""
+    yield from all_parts
+    yield None
+
+
+def replay_session(folder: str | Path) -> SessionReplay:
+    """Render the drive of a session again, from the session alone, and compare it.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the session.
+
+    Returns
+    -------
+    SessionReplay
+        Result of the comparison, which ends at the first block that differs. On the machine of the
+        session, with the same versions, nothing differs.
+
+    Raises
+    ------
+    NotFoundError, InputError
+        If the session cannot be read, or holds something that this version cannot render.
+    """
+    result, digest, begun = SessionReplay(str(folder)), 0, None
+    with threadpool_limits(1):  # as in the processes of the server
+        for what, drive in render_session(Path(folder)):
+            if isinstance(what, SessionEvent):
+                result.lost_records = what.number
+                break
+            assert drive is not None
+            begun = what.rendered_from.now if begun is None else begun
+            result.duration_s = what.rendered_from.now - begun
+            digest = next_digest(digest, drive)
+            if digest & DIGEST_BITS != what.digest:
+                result.first_block, result.first_time_s = result.compared_blocks, result.duration_s
+                break
+            result.compared_blocks += 1
+    result.other_versions = other_versions(next(parts(folder)).header.versions)
+    return result

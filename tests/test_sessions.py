@@ -1,0 +1,298 @@
+"""Tests of sessions: what a server played is rendered again from its recording alone."""
+
+import asyncio
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from virtual_server import World, small_display, virtual_world
+
+from tactile import messages as m
+from tactile.arrays import Floats
+from tactile.bus.base import DriveBlock, DriveFrame
+from tactile.bus.simulated.modeled_bus import ModeledBus
+from tactile.errors import InputError, NotFoundError
+from tactile.playback.mixer import BlockInput
+from tactile.playback.session_parts import SessionBlock, parts
+from tactile.playback.session_replay import render_session, replay_session
+from tactile.playback.session_ring import RECORDS, Kind, SessionRing
+from tactile.server.client import Client
+from tactile.server.config import Configuration, DisplayConfig, RecordConfig
+from tactile.tracking.finger_sample import FingerSample, rounded
+
+NAME = "left"
+SERIAL = "mock:?link=serial&bit_rate=3000000&format=pcm16&disconnect_s=2"
+"""Amplifier whose link is lost every 2 s."""
+SPECTRUM = "mock:?link=can&format=spectrum"
+
+
+@dataclass
+class Story:
+    """Server with one display that is recorded, and two clients of it."""
+
+    world: World
+    folder: Path
+    written: list[Floats] = field(default_factory=list)
+
+    def start(self, device: str, rate: float | None) -> tuple[Client, Client]:
+        display = DisplayConfig(
+            name=NAME, display=small_display(self.folder), device=device, sample_rate_hz=rate,
+            gain=0.9, voltage_limit_v=50.0,
+        )  # fmt: skip
+        record = RecordConfig(folder=str(self.folder / "sessions"))
+        assert self.world.start(Configuration(display=(display,), record=record))
+        assert self.world.host is not None
+        self.pause(0.2)
+        return (
+            self.world.host.connect("one", roles=m.ALL_ROLES),
+            self.world.host.connect("two", roles=m.ALL_ROLES),
+        )
+
+    @property
+    def sessions(self) -> list[Path]:
+        return sorted((self.folder / "sessions").iterdir())
+
+    def pause(self, seconds: float) -> None:
+        self.world.run(asyncio.sleep(seconds))
+
+    def ask(self, client: Client, command: m.Command) -> m.Answer:
+        return self.world.run(client.request(command))
+
+    def slide(self, client: Client, seconds: float, *, velocity: bool = False) -> None:
+        """Slide a finger back and forth, 250 contacts a second, and lift it."""
+        for k in range(round(250 * seconds)):
+            t = k / 250
+            pair = (60 * math.cos(t), -20 * math.sin(t)) if velocity else None
+            place = 60 * math.sin(t), 20 * math.cos(t)
+            self._touch(client, place, 0.5 + 0.2 * math.sin(9 * t), pair)
+            self.pause(1 / 250)
+        self._touch(client, (0.0, 0.0), 0.0, None)
+
+    def _touch(
+        self,
+        client: Client,
+        place: tuple[float, float],
+        force: float,
+        velocity: tuple[float, float] | None,
+    ) -> None:
+        contact = m.Contact(
+            display=NAME, position_mm=place, normal_force_n=force, velocity_mm_s=velocity
+        )
+        client.contact(contact, self.world.clock.now())
+
+    def play_everything(self, one: Client, two: Client) -> None:
+        """Play textures, waveforms and effects, with an e-stop and two fingers."""
+        wave = tuple(math.sin(k / 3) for k in range(1000))
+        self.ask(one, m.Select(display=NAME, layers=(m.Layer(texture="wood-oak"),)))
+        assert isinstance(self.ask(one, m.ArmDisplay(display=NAME)), m.Done)
+        self.slide(one, 0.4)
+        self.ask(one, m.SetGain(display=NAME, gain=0.4))
+        layers = m.Layer(texture="leather-calf", gain=0.5), m.Layer(texture="wood-oak", seed=3)
+        self.ask(two, m.Select(display=NAME, layers=layers))
+        self.ask(one, m.Append(display=NAME, sample_rate_hz=5000, amplitude_um=3, samples=wave))
+        self.slide(two, 0.4, velocity=True)
+        points = m.Point(time_ms=0.0, value=1.0), m.Point(time_ms=500.0, value=0.2)
+        self.ask(two, m.PlayEffect(display=NAME, amplitude_um=2, amplitude=points))
+        self.slide(one, 0.2)
+        estop = self.ask(one, m.EStop())
+        self.slide(one, 0.1)
+        assert isinstance(estop, m.Done)
+        number = estop.estops[NAME]
+        assert isinstance(self.ask(one, m.ClearEstop(display=NAME, estop=number)), m.Done)
+        assert isinstance(self.ask(two, m.ArmDisplay(display=NAME)), m.Done)
+        self.slide(two, 0.3)
+        self.ask(one, m.Append(
+            display=NAME, sample_rate_hz=8000, amplitude_um=1, samples=wave, contactors=(1,),
+        ))  # fmt: skip
+        self.ask(one, m.StopPlaying(display=NAME))
+        self.world.run(self._drop(one))
+        self.slide(two, 0.3)
+
+    async def _drop(self, client: Client) -> None:
+        assert self.world.host is not None
+        self.world.host.drop(client)
+
+
+@pytest.fixture
+def story(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Story]:
+    with virtual_world(lambda playback, volts: None) as world:
+        yield Story(world, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the session of a story on a serial link."""
+    folder = tmp_path_factory.mktemp("session")
+    with virtual_world(lambda playback, volts: None) as world:
+        story = Story(world, folder)
+        story.play_everything(*story.start(SERIAL, 8000.0))
+        world.stop()
+        (session,) = story.sessions
+    return session
+
+
+def rendered(session: Path) -> list[tuple[SessionBlock, DriveBlock | DriveFrame]]:
+    """Return the blocks of a session and their drives, rendered again."""
+    return [
+        (what, drive)
+        for what, drive in render_session(session)
+        if isinstance(what, SessionBlock) and drive is not None
+    ]
+
+
+def test_what_was_written_to_the_link_is_rendered_again_bit_for_bit(
+    story: Story, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, written = ModeledBus.write, []
+
+    def write(bus: ModeledBus, block: DriveBlock) -> None:
+        written.append((block.position, block.volts.copy()))
+        real(bus, block)
+
+    monkeypatch.setattr(ModeledBus, "write", write)
+    story.play_everything(*story.start(SERIAL, 8000.0))
+    story.world.stop()
+    (session,) = story.sessions
+    again = rendered(session)
+    assert len(again) == len(written) > 500
+    for (position, volts), (_, drive) in zip(written, again, strict=True):
+        assert drive.position == position
+        np.testing.assert_array_equal(drive.volts, volts)
+    loud = sum(bool(volts.any()) for _, volts in written)
+    assert loud > 400
+    result = replay_session(session)
+    assert result.is_identical
+    assert result.compared_blocks == len(written)
+
+
+def test_a_session_on_a_link_that_takes_frames_is_rendered_again(story: Story) -> None:
+    one, two = story.start(SPECTRUM, None)
+    story.ask(one, m.Select(display=NAME, layers=(m.Layer(texture="wood-oak"),)))
+    assert isinstance(story.ask(one, m.ArmDisplay(display=NAME)), m.Done)
+    story.slide(one, 0.4)
+    story.ask(two, m.Select(display=NAME, layers=(m.Layer(texture="leather-calf"),)))
+    story.slide(two, 0.4)
+    story.world.stop()
+    (session,) = story.sessions
+    result = replay_session(session)
+    assert result.is_identical
+    assert result.compared_blocks > 20
+    assert max(float(np.abs(drive.volts).max()) for _, drive in rendered(session)) > 0.1
+
+
+def test_each_start_of_playback_is_a_session_of_its_own(story: Story) -> None:
+    one, _ = story.start("mock:", 8000.0)
+    story.ask(one, m.Select(display=NAME, layers=(m.Layer(texture="wood-oak"),)))
+    story.ask(one, m.ArmDisplay(display=NAME))
+    story.slide(one, 0.2)
+    (playback,) = story.world.playbacks()
+    playback.kill()
+    story.pause(3.0)
+    assert isinstance(story.ask(one, m.ArmDisplay(display=NAME)), m.Done)
+    story.slide(one, 0.2)
+    story.world.stop()
+    assert len(story.sessions) == 2
+    for session in story.sessions:
+        assert replay_session(session).is_identical
+        assert max(float(np.abs(drive.volts).max()) for _, drive in rendered(session)) > 1.0
+
+
+def test_a_killed_server_leaves_a_session_that_is_complete(story: Story) -> None:
+    one, _ = story.start("mock:", 8000.0)
+    story.ask(one, m.ArmDisplay(display=NAME))
+    story.slide(one, 0.2)
+    story.world.kill()
+    story.world.clock.advance(1.0)
+    (session,) = story.sessions
+    assert replay_session(session).is_identical
+    assert replay_session(session).compared_blocks > 50
+
+
+def test_news_are_recorded_with_their_times(session: Path) -> None:
+    with h5py.File(session / "part-000001.h5") as file:
+        lines = bytes(file["messages"][:]).splitlines()
+    news = [json.loads(line) for line in lines]
+    kinds = [one["kind"] for one in news]
+    assert {"armed", "estopped", "cleared", "link"} <= set(kinds)
+    times = [one["time_s"] for one in news]
+    assert times == sorted(times)
+
+
+def changed(session: Path, folder: Path, change: Callable[[h5py.File], None]) -> Path:
+    """Return a copy of a session of one part, whose file was changed."""
+    copy = folder / "copy"
+    copy.mkdir()
+    path = copy / "part-000001.h5"
+    path.write_bytes((session / "part-000001.h5").read_bytes())
+    with h5py.File(path, "r+") as file:
+        change(file)
+    return copy
+
+
+def test_a_contact_that_differs_shows_at_the_block_that_took_it(
+    session: Path, tmp_path: Path
+) -> None:
+    def change(file: h5py.File) -> None:
+        file["contacts/x_10nm"][50] += 100_000  # 1 mm, of this contact and all after it
+
+    result = replay_session(changed(session, tmp_path, change))
+    assert not result.is_identical
+    (part,) = parts(session)
+    taken = np.cumsum(
+        [len(what.rendered_from.contacts) for what in part if isinstance(what, SessionBlock)]
+    )
+    assert result.first_block is not None
+    # A contact changes the course from the block that took it on, at first by almost nothing.
+    assert 0 <= result.first_block - int(np.argmax(taken > 50)) < 5
+
+
+def test_sessions_that_cannot_be_replayed_say_why(session: Path, tmp_path: Path) -> None:
+    with pytest.raises(NotFoundError, match=r"part-000001\.h5"):
+        replay_session(tmp_path)
+
+    def forget_orders(file: h5py.File) -> None:
+        del file["orders"]
+        file["orders"] = np.zeros(0, np.uint8)
+
+    with pytest.raises(InputError, match=r"order -?\d+ is missing"):
+        replay_session(changed(session, tmp_path, forget_orders))
+    (tmp_path / "copy" / "part-000001.h5").rename(tmp_path / "copy" / "part-000003.h5")
+    with pytest.raises(InputError, match=r"part-000001\.h5 is missing"):
+        replay_session(tmp_path / "copy")
+    (tmp_path / "copy" / "part-000001.h5").write_bytes(b"no HDF5")
+    with pytest.raises(InputError, match="is no part of a session"):
+        replay_session(tmp_path / "copy")
+
+
+def block(number: int, *contacts: FingerSample) -> BlockInput:
+    taken = tuple((7, sample) for sample in contacts)
+    return BlockInput(number, 16 * number, False, 1.0, 1.01, taken)
+
+
+def test_a_full_ring_never_waits_and_tells_how_much_it_lost() -> None:
+    ring, drive = SessionRing.create(), DriveBlock(0, np.zeros((16, 2)))
+    reader = SessionRing(ring.handle)
+    for k in range(RECORDS + 10):
+        ring.add_block(block(k), drive)
+    assert ring.lost == 10
+    rows = reader.take()
+    assert rows["number"].tolist() == list(range(RECORDS))
+    ring.add_block(block(99), drive)
+    kinds = [(Kind(row["kind"]), int(row["number"])) for row in reader.take()]
+    assert kinds == [(Kind.LOST, 10), (Kind.BLOCK, 99)]
+    assert len(reader.take()) == 0
+    ring.close()
+
+
+def test_any_numbers_of_a_contact_are_rounded_to_what_is_stored() -> None:
+    sample = FingerSample(1.23456789, 2.3456789, -1e-9, 0.123456789, 0.56789, (0.0123456, -1e-9))
+    assert rounded(sample) == (1.234568, 2.345679, 0.0, 0.12345679, 0.5679, (0.01235, 0.0))
+    assert math.copysign(1.0, rounded(sample).x) == 1.0, "integers have no negative zero"
+    wild = rounded(FingerSample(math.nan, math.inf, 1e300, -math.inf, 0.0))
+    assert math.isnan(wild.time)
+    assert wild[1:4] == (math.inf, 1e300, -math.inf)

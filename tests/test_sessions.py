@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from cli_rig import Command
 from virtual_server import World, small_display, virtual_world
 
 from tactile import messages as m
@@ -267,6 +268,39 @@ def test_sessions_that_cannot_be_replayed_say_why(session: Path, tmp_path: Path)
     (tmp_path / "copy" / "part-000001.h5").write_bytes(b"no HDF5")
     with pytest.raises(InputError, match="is no part of a session"):
         replay_session(tmp_path / "copy")
+
+
+def test_the_command_exits_with_1_and_names_the_first_block_that_differs(
+    session: Path, tmp_path: Path, command: Command
+) -> None:
+    same = command("replay", session)
+    assert (same.code, same.err) == (0, "")
+    assert same.out.endswith(" are identical\n")
+
+    def change(file: h5py.File) -> None:
+        file["blocks/digest"][7] ^= 1
+
+    other = command("replay", changed(session, tmp_path, change), "--json")
+    assert other.code == 1
+    assert "the drive differs from block 7 on, at 0.01" in other.err
+    assert other.json["first_block"] == 7
+    nothing = command("replay", tmp_path)
+    assert (nothing.code, nothing.out) == (2, "")
+    assert "holds no session" in nothing.err
+
+
+def test_what_follows_lost_records_is_not_compared(session: Path, tmp_path: Path) -> None:
+    def change(file: h5py.File) -> None:
+        kinds = file["events/kind"][:]
+        kinds[-1] = Kind.LOST
+        file["events/kind"][:] = kinds
+
+    copy = changed(session, tmp_path, change)
+    result = replay_session(copy)
+    assert result.lost_records
+    assert not result.is_identical
+    with h5py.File(copy / "part-000001.h5") as file:
+        assert result.compared_blocks == np.sum(file["events/before_block"][:])
 
 
 def block(number: int, *contacts: FingerSample) -> BlockInput:

@@ -10,20 +10,31 @@ from tactile.cli.options import AsJson, emit
 
 if TYPE_CHECKING:
     from tactile.playback.replaying import Replay
+    from tactile.playback.session_replay import SessionReplay
 
 
 def run(
-    file: Annotated[Path, typer.Argument(help="Recording (.h5, .hdf5 or .npz) of tactile play.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Recording (.h5, .hdf5 or .npz) of tactile play, or folder of a session that "
+            "tactile serve recorded."
+        ),
+    ],
     as_json: AsJson = False,
 ) -> None:
     """Render a recording again and compare it bit for bit.
 
     The drive is computed from what the recording holds; no other file is read, and no device is
     opened. The exit code is 0 if it is identical to the recorded drive, 1 if it differs, and 2 if
-    the recording cannot be replayed.
+    the recording cannot be replayed. A session holds a digest of the drive, so that only the first
+    block that differs is known; an interrupted one is compared as far as it goes.
 
     Example: tactile replay oak.h5
     """
+    if file.is_dir():
+        _replay_session(file, as_json)
+        return
     from tactile.playback.replaying import replay
 
     result = replay(file)
@@ -31,6 +42,39 @@ def run(
     if not result.is_identical:
         print(f"tactile: {file}: {_difference(result)}", file=sys.stderr)
         raise typer.Exit(1)
+
+
+def _replay_session(folder: Path, as_json: bool) -> None:
+    """Replay a session, and exit with 1 if it differs."""
+    from tactile.playback.session_replay import replay_session
+
+    result = replay_session(folder)
+    emit(
+        result.as_dict(),
+        as_json,
+        lambda _: typer.echo(
+            f"{result.compared_blocks} blocks in {result.duration_s:.1f} s are identical"
+        ),
+    )
+    if not result.is_identical:
+        print(f"tactile: {folder}: {_session_difference(result)}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def _session_difference(r: "SessionReplay") -> str:
+    """Return where a session differs, and what else has changed, or what it lacks."""
+    if r.lost_records:
+        return (
+            f"{r.lost_records} records are missing after block {r.compared_blocks - 1}; what "
+            "follows was not compared"
+        )
+    text = f"the drive differs from block {r.first_block} on, at {r.first_time_s:.3f} s"
+    return "; ".join([text, *_versions(r)])
+
+
+def _versions(r: "Replay | SessionReplay") -> list[str]:
+    """Return which versions have changed, a phrase for each."""
+    return [f"{name} {one} is {other} here" for name, (one, other) in r.other_versions.items()]
 
 
 def _compared(r: "Replay") -> str:
@@ -48,5 +92,4 @@ def _difference(r: "Replay") -> str:
         f"the drive differs from sample {r.first_sample}, contactor {r.first_contactor} on, by at "
         f"most {r.largest_difference_v:.3g} V"
     )
-    versions = [f"{name} {one} is {other} here" for name, (one, other) in r.other_versions.items()]
-    return "; ".join([text, *versions])
+    return "; ".join([text, *_versions(r)])

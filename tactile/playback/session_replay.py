@@ -174,19 +174,30 @@ def replay_session(folder: str | Path) -> SessionReplay:
     NotFoundError, InputError
         If the session cannot be read, or holds something that this version cannot render.
     """
-    result, digest, begun = SessionReplay(str(folder)), 0, None
-    with threadpool_limits(1):  # as in the processes of the server
-        for what, drive in render_session(Path(folder)):
-            if isinstance(what, SessionEvent):
-                result.lost_records = what.number
-                break
-            assert drive is not None
-            begun = what.rendered_from.now if begun is None else begun
-            result.duration_s = what.rendered_from.now - begun
-            digest = next_digest(digest, drive)
-            if digest & DIGEST_BITS != what.digest:
-                result.first_block, result.first_time_s = result.compared_blocks, result.duration_s
-                break
-            result.compared_blocks += 1
+    result = SessionReplay(str(folder))
+    try:
+        with threadpool_limits(1):  # as in the processes of the server
+            _compare(result, Path(folder))
+    except InputError as error:
+        if str(error).startswith(str(folder)):
+            raise
+        raise InputError(f"{folder}: cannot be replayed: {error}") from error
     result.other_versions = other_versions(next(parts(folder)).header.versions)
     return result
+
+
+def _compare(result: SessionReplay, folder: Path) -> None:
+    """Render a session until the first difference, or until records are lost."""
+    digest, begun = 0, None
+    for what, drive in render_session(folder):
+        if isinstance(what, SessionEvent):
+            result.lost_records = what.number
+            return
+        assert drive is not None
+        begun = what.rendered_from.now if begun is None else begun
+        result.duration_s = what.rendered_from.now - begun
+        digest = next_digest(digest, drive)
+        if digest & DIGEST_BITS != what.digest:
+            result.first_block, result.first_time_s = result.compared_blocks, result.duration_s
+            return
+        result.compared_blocks += 1

@@ -86,7 +86,7 @@ class Child(ChildProcess):
         deadline = self._loop.time() + patience
         while self.alive and self._loop.time() < deadline:
             await asyncio.sleep(0.01)
-        self.kill()
+        await asyncio.to_thread(self.kill)  # which waits long for a process that a disk holds up
 
     def _end_orders(self) -> None:
         """Let the thread that writes end after the orders that wait."""

@@ -23,6 +23,7 @@ from tactile.server.effects import StoredEffect, load_effects
 from tactile.server.estop_desk import EstopDesk
 from tactile.server.playing import Playing
 from tactile.server.preparation_queue import PreparationQueue
+from tactile.server.session_recording import prepare_folder
 from tactile.server.tasks import start_task
 from tactile.texture import descriptor
 
@@ -124,6 +125,7 @@ class Host:
         """
         self._textures = shipped_textures()
         self.effects = await asyncio.to_thread(load_effects, self._config.server.effects)
+        await asyncio.to_thread(prepare_folder, self._config.record.folder)
         self._preparation_queue.begin()
         self._beating = start_task(self._beat())
         try:
@@ -132,9 +134,8 @@ class Host:
             latches = await _latches(self._config.display, {}, self._clock)
             for config, latch in latches.items():
                 self.playing[config.name] = Playing(
-                    config, latch, self._preparation_queue, self._broadcast,
-                    self._config.record,
-                )  # fmt: skip
+                    config, latch, self._preparation_queue, self._broadcast, self._config.record
+                )
             await self._desk.start({name: playing.latch for name, playing in self.playing.items()})
             await self._inherit(latches)
             for playing in self.playing.values():
@@ -200,6 +201,7 @@ class Host:
             load_configured(entry)
         textures = await asyncio.to_thread(shipped_textures)  # takes longer than a heartbeat
         effects = await asyncio.to_thread(load_effects, config.server.effects)
+        await asyncio.to_thread(prepare_folder, config.record.folder)
         after = {entry.name: before.pop(entry) for entry in config.display if entry in before}
         left = {playing.config.device: playing.latch for playing in before.values()}
         latches = await _latches(new, left, self._clock)

@@ -185,7 +185,7 @@ class Playing:
         """Start a playback process and wait until it has opened the device."""
         config, loop = self.config, asyncio.get_running_loop()
         log.info("%s: opening %s", config.name, config.device)
-        ring = await self.session.renew()
+        ring = self.session.renew()
         shared = self.memory.descriptor, self.latch.descriptor, ring.descriptor if ring else None
         inherited = tuple(descriptor for descriptor in shared if descriptor is not None)
         self._device_opened = loop.create_future()
@@ -306,7 +306,6 @@ class Playing:
     def close(self) -> None:
         """Release the memory that was shared with the process, after its end."""
         self.memory.close()
-        self.session.close()
 
     # Orders
 

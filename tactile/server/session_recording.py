@@ -6,11 +6,12 @@ is counted.
 
 import asyncio
 import logging
-from contextlib import suppress
+import tempfile
+from pathlib import Path
 from typing import Any
 
 from tactile.display.display import Display
-from tactile.errors import BusError
+from tactile.errors import BusError, InputError
 from tactile.files import SourceFile
 from tactile.playback.commands import DeviceOpened, News, Order
 from tactile.playback.session_messages import (
@@ -24,12 +25,38 @@ from tactile.playback.session_orders import KINDS, TextureDescription
 from tactile.playback.session_ring import SessionRing
 from tactile.server.children import Child
 from tactile.server.config import DisplayConfig, RecordConfig
+from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.session")
 
-ENDING = 5.0
-"""Time that the recorder may take to write the last part [s]."""
+ENDING = 30.0
+"""Time that the recorder may take to write the last part, on a slow disk at low priority [s]."""
 _KINDS = tuple(KINDS.values())
+
+
+def prepare_folder(folder: str | None) -> None:
+    """Create the folder of all sessions if there is none, and check that it takes files.
+
+    Parameters
+    ----------
+    folder : str or None
+        Folder of all sessions; None if nothing is recorded.
+
+    Raises
+    ------
+    InputError
+        If no file can be created in it.
+    """
+    if folder is None:
+        return
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(
+            f"record.folder = {folder!r}: no file can be created in it: {error.strerror}; name a "
+            "folder that the server may write to"
+        ) from error
 
 
 class SessionRecording:
@@ -55,18 +82,18 @@ class SessionRecording:
         self._loop = asyncio.get_running_loop()
         self._ring: SessionRing | None = None
         self._child: Child | None = None
-        self._written = self._lost = self._lost_messages = 0
+        self._endings: set[asyncio.Task[None]] = set()
+        self._written = self._lost = 0
 
-    async def renew(self) -> SessionRing | None:
-        """End the present session and prepare the next.
+    def renew(self) -> SessionRing | None:
+        """Let the present session end, which nothing waits for, and prepare the next.
 
         Returns
         -------
         SessionRing or None
             Ring that playback writes to; None if nothing is recorded.
         """
-        await self.end()
-        self.close()
+        self._leave()
         self._ring = SessionRing.create() if self._folder else None
         return self._ring
 
@@ -105,13 +132,12 @@ class SessionRecording:
     def _receive(self, what: RecordingBegun | None) -> None:
         """Take a message of the recorder, or None if it has ended."""
         name = self._config.name
-        if what is None:
-            log.error("%s: nothing is recorded any more: the recorder has ended", name)
-            self._child = None
-        elif what.failure:
-            log.error("%s: nothing is recorded any more: %s", name, what.failure)
-        else:
+        if what is not None and not what.failure:
             log.info("%s: recording to %s", name, what.folder)
+            return
+        reason = what.failure if what is not None else "the recorder has ended"
+        log.error("%s: nothing is recorded any more: %s", name, reason)
+        self._end_child()
 
     def add_order(self, number: int, order: Order | TextureDescription) -> None:
         """Add an order to playback; one that does not change what is rendered is ignored.
@@ -142,8 +168,8 @@ class SessionRecording:
             return
         try:
             self._child.send(message)
-        except BusError:
-            self._lost_messages += 1
+        except BusError:  # it does not follow
+            self._lost += 1
 
     def figures(self) -> dict[str, float]:
         """Return counters for metrics.
@@ -157,24 +183,32 @@ class SessionRecording:
             return {}
         ring = self._ring
         return {
-            "recording": float(self._child is not None and self._child.alive),
-            "session_records_total": self._written + float(ring.written if ring else 0),
-            "lost_session_records_total": self._lost
-            + self._lost_messages
-            + float(ring.lost if ring else 0),
+            "recording": float(self._child is not None),
+            "session_records_total": float(self._written + (ring.written if ring else 0)),
+            "lost_session_records_total": float(self._lost + (ring.lost if ring else 0)),
         }
 
     async def end(self) -> None:
         """Let the recorder write what it has, and end it."""
-        child, self._child = self._child, None
-        if child is not None:
-            await child.end(ENDING)
+        self._leave()
+        await asyncio.gather(*self._endings)
 
-    def close(self) -> None:
-        """Release the ring."""
+    def _leave(self) -> None:
+        """Leave the present session to its end, after that of playback."""
         ring, self._ring = self._ring, None
         if ring is not None:
             self._written += ring.written
             self._lost += ring.lost
-            with suppress(ValueError):
+        self._end_child(ring)
+
+    def _end_child(self, ring: SessionRing | None = None) -> None:
+        """End the recorder in the background, and then release the ring that it reads."""
+        child, self._child = self._child, None
+
+        async def end() -> None:
+            if child is not None:
+                await child.end(ENDING)
+            if ring is not None:
                 ring.close()
+
+        start_task(end(), among=self._endings)

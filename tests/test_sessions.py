@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,10 +21,12 @@ from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.errors import InputError, NotFoundError
 from tactile.playback.mixer import BlockInput
 from tactile.playback.session_parts import SessionBlock, parts
+from tactile.playback.session_recorder import LEAST_FREE
 from tactile.playback.session_replay import render_session, replay_session
 from tactile.playback.session_ring import RECORDS, Kind, SessionRing
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, RecordConfig
+from tactile.server.session_recording import prepare_folder
 from tactile.tracking.finger_sample import FingerSample, rounded
 
 NAME = "left"
@@ -212,6 +215,40 @@ def test_a_killed_server_leaves_a_session_that_is_complete(story: Story) -> None
     (session,) = story.sessions
     assert replay_session(session).is_identical
     assert replay_session(session).compared_blocks > 50
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(
+    story: Story, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    one, _ = story.start("mock:", 8000.0)
+    story.ask(one, m.ArmDisplay(display=NAME))
+    story.slide(one, 0.2)
+    host = story.world.host
+    assert host is not None
+    assert host.figures()[NAME]["recording"] == 1
+    full = shutil.disk_usage(story.folder)._replace(free=LEAST_FREE - 1)
+    monkeypatch.setattr("shutil.disk_usage", lambda path: full)
+    monkeypatch.setattr("tactile.playback.session_recorder.PART", 0.5)
+    story.slide(one, 1.0)
+    lines = [record.message for record in caplog.records if "nothing is recorded" in record.message]
+    assert lines == ["left: nothing is recorded any more: less than 256 MiB of the disk are free"]
+    before = host.figures()[NAME]
+    assert before["recording"] == 0
+    story.slide(one, 0.2)
+    assert host.figures()[NAME]["blocks_total"] > before["blocks_total"]
+
+
+def test_a_folder_that_takes_no_file_is_refused_at_the_start(story: Story) -> None:
+    (story.folder / "file").write_text("")
+    folder = str(story.folder / "file" / "sessions")
+    config = Configuration(
+        display=(DisplayConfig(name=NAME, device="mock:"),), record=RecordConfig(folder=folder)
+    )
+    assert not story.world.start(config)
+    with pytest.raises(
+        InputError, match=r"record\.folder = .*: no file can be created in it: Not a"
+    ):
+        prepare_folder(folder)
 
 
 def test_news_are_recorded_with_their_times(session: Path) -> None:

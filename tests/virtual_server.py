@@ -58,7 +58,7 @@ from tactile.playback.commands import DeviceOpened, PlaybackSetup
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.mixer import BlockInput, Mixer
 from tactile.playback.process import Program
-from tactile.playback.session_messages import RecordingBegun, SessionSetup
+from tactile.playback.session_messages import RecorderAnswer, SessionSetup
 from tactile.playback.session_orders import TextureDescription
 from tactile.playback.session_recorder import LOOK, SessionRecorder, new_folder
 from tactile.playback.session_ring import SessionRing
@@ -248,15 +248,21 @@ class RecorderProcess(Process):
             self._ring = SessionRing(f"fd:{os.dup(file)}")
             folder = new_folder(Path(order.folder), order.header.name)
             self.recorder = SessionRecorder(folder, order.header, self._ring)
-            self.answer(RecordingBegun(str(folder)))
+            self.answer(RecorderAnswer(str(folder)))
             self._look()
         else:
             assert self.recorder is not None
             self.recorder.take(order)
 
     def _look(self) -> None:
-        if self.alive and self.recorder is not None:
+        if not self.alive or self.recorder is None:
+            return
+        try:
             self.recorder.turn(self.clock.now())
+        except OSError as error:
+            self.answer(RecorderAnswer(failure=str(error)))
+            self.clock.after(0.0, self.kill)
+        else:
             self.clock.after(LOOK, self._look)
 
     def finish(self) -> None:

@@ -101,7 +101,7 @@ class NumberedOrder:
 
 
 @dataclass(frozen=True)
-class RecordingBegun:
+class RecorderAnswer:
     """Answer to `SessionSetup`, or news of the end of recording.
 
     Attributes

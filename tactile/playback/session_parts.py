@@ -1,7 +1,7 @@
 """Files of a session: a folder of HDF5 files, each of which holds a part of it.
 
-A part is written whole under another name and then renamed, so that every part is complete whatever
-is killed. Columns of integers that change little are stored as their first value and then the
+A part is written whole under another name, flushed to the disk and then renamed, so that every part
+is complete whatever is killed or loses power. Columns of integers that change little are stored as their first value and then the
 differences, which compress best; their attribute ``coding`` says so.
 """
 
@@ -239,16 +239,33 @@ def write_part(
     OSError
         If the file cannot be written.
     """
+    content = _content(header, records, orders, events)
     new = folder / f"part-{number:06d}.new"
-    with h5py.File(new, "w", libver="latest") as file:
+    try:
+        with open(new, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(new, folder / f"part-{number:06d}.h5")
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+    return len(content)
+
+
+def _content(
+    header: SessionHeader, records: NDArray[np.void], orders: bytes, events: bytes
+) -> bytes:
+    """Return the content of a file, built in memory: HDF5 crashes when the disk is full."""
+    with h5py.File("part", "w", driver="core", backing_store=False, libver="latest") as file:
         file["header"] = np.frombuffer(msgspec.json.encode(header), np.uint8)
         for name, text in (("orders", orders), ("messages", events)):
             _write(file, name, np.frombuffer(text, np.uint8))
         for name, column in _columns(records).items():
             _write(file, name, column)
-    size = new.stat().st_size
-    os.replace(new, folder / f"part-{number:06d}.h5")
-    return size
+        file.flush()
+        content: bytes = file.id.get_file_image()
+    return content
 
 
 def _columns(records: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:

@@ -21,7 +21,7 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.playback.origin import present_versions
 from tactile.playback.session_messages import (
     NumberedOrder,
-    RecordingBegun,
+    RecorderAnswer,
     SessionHeader,
     SessionMessage,
     SessionSetup,
@@ -121,7 +121,7 @@ class SessionRecorder:
         if not (self._records or self._orders or self._news):
             return
         if shutil.disk_usage(self._folder).free < LEAST_FREE:
-            raise OSError(f"less than {LEAST_FREE >> 20} MiB are free")
+            raise OSError(f"less than {LEAST_FREE >> 20} MiB of the disk are free")
         rows = np.concatenate([np.zeros(0, RECORD), *self._records])
         whole = np.flatnonzero(rows["kind"] != Kind.CONTACT)
         end = int(whole[-1]) + 1 if len(whole) else 0
@@ -176,7 +176,7 @@ def main(clock: Clock = MONOTONIC) -> None:
     try:
         folder = new_folder(Path(setup.folder), header.name)
         recorder = SessionRecorder(folder, header, SessionRing(setup.ring))
-        send(outward, RecordingBegun(str(folder)))
+        send(outward, RecorderAnswer(str(folder)))
         ended = threading.Event()
 
         def read() -> None:
@@ -185,9 +185,11 @@ def main(clock: Clock = MONOTONIC) -> None:
             ended.set()
 
         threading.Thread(target=read, name="tactile-session", daemon=True).start()
-        while not ended.is_set():
+        last = False
+        while not last:
             clock.wait(ended, LOOK)
-            recorder.turn(clock.now(), last=ended.is_set())
+            last = ended.is_set()  # read once, so that what came before the end is written
+            recorder.turn(clock.now(), last=last)
     except OSError as error:
         with suppress(OSError):
-            send(outward, RecordingBegun(failure=str(error)))
+            send(outward, RecorderAnswer(failure=f"{setup.folder}: {error.strerror or error}"))

@@ -16,7 +16,7 @@ from tactile.files import SourceFile
 from tactile.playback.commands import DeviceOpened, News, Order
 from tactile.playback.session_messages import (
     NumberedOrder,
-    RecordingBegun,
+    RecorderAnswer,
     SessionHeader,
     SessionMessage,
     SessionSetup,
@@ -129,7 +129,7 @@ class SessionRecording:
         except (OSError, BusError) as error:  # no descriptor or memory left
             log.error("%s: nothing is recorded: %s", config.name, error)
 
-    def _receive(self, what: RecordingBegun | None) -> None:
+    def _receive(self, what: RecorderAnswer | None) -> None:
         """Take a message of the recorder, or None if it has ended."""
         name = self._config.name
         if what is not None and not what.failure:

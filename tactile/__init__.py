@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from tactile.playback.estop_guard import guarded as guarded
     from tactile.playback.recording_reader import Recording as Recording
     from tactile.playback.recording_reader import load_recording as load_recording
+    from tactile.playback.session_reader import Session as Session
+    from tactile.playback.session_reader import load_session as load_session
     from tactile.rendering.contact import Trajectory as Trajectory
     from tactile.rendering.renderer import Renderer as Renderer
     from tactile.rendering.renderer import Rendering as Rendering
@@ -103,6 +105,7 @@ _HOMES = {
     "local": ("open_display",),
     "playback.estop_guard": ("guarded",),
     "playback.recording_reader": ("Recording", "load_recording"),
+    "playback.session_reader": ("Session", "load_session"),
     "rendering.contact": ("Trajectory",),
     "rendering.renderer": ("Renderer", "Rendering", "render"),
     "rendering.spectrum": ("SpectrumRenderer",),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tactile.cli.options import AsJson, emit
+from tactile.cli.printing import progress_bar
 
 if TYPE_CHECKING:
     from tactile.playback.replaying import Replay
@@ -48,14 +49,13 @@ def _replay_session(folder: Path, as_json: bool) -> None:
     """Replay a session, and exit with 1 if it differs."""
     from tactile.playback.session_replay import replay_session
 
-    result = replay_session(folder)
-    emit(
-        result.as_dict(),
-        as_json,
-        lambda _: typer.echo(
-            f"{result.compared_blocks} blocks in {result.duration_s:.1f} s are identical"
-        ),
-    )
+    with progress_bar(visible=not as_json) as bar:
+        task = bar.add_task("minutes", total=None)
+        result = replay_session(
+            folder, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    text = f"{result.compared_blocks} blocks in {result.duration_s:.1f} s are identical"
+    emit(result.as_dict(), as_json, lambda _: print(text))
     if not result.is_identical:
         print(f"tactile: {folder}: {_session_difference(result)}", file=sys.stderr)
         raise typer.Exit(1)

@@ -36,6 +36,10 @@ class SessionHeader(msgspec.Struct, frozen=True, kw_only=True):
         Whether the finger stays on the display.
     versions : dict of str to str
         Versions of the program, of Python and of the libraries that computed the drive.
+    begun_s : float
+        Time in the host's clock, in which all times are, when recording began.
+    begun_utc : str
+        The same time as a date, in UTC and the form of ISO 8601.
     """
 
     format: int = FORMAT
@@ -47,6 +51,8 @@ class SessionHeader(msgspec.Struct, frozen=True, kw_only=True):
     gain: float
     worn: bool
     versions: dict[str, str] = {}
+    begun_s: float = 0.0
+    begun_utc: str = ""
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ class SessionSetup:
     ring : str
         Handle of the ring that playback writes to.
     header : SessionHeader
-        What the session is played with; its versions are filled in here.
+        What the session is played with; the recorder adds the versions and the time.
     """
 
     folder: str

@@ -1,8 +1,8 @@
 """Files of a session: a folder of HDF5 files, each of which holds a part of it.
 
 A part is written whole under another name, flushed to the disk and then renamed, so that every part
-is complete whatever is killed or loses power. Columns of integers that change little are stored as their first value and then the
-differences, which compress best; their attribute ``coding`` says so.
+is complete whatever is killed or loses power. Columns of integers that change little are stored as
+their first value and then the differences, which compress best; their attribute ``coding`` says so.
 """
 
 import os
@@ -36,16 +36,17 @@ INVALID = np.iinfo(np.int64).min
 DIGEST_BITS = 0xFFFF
 """Bits of a block's digest that are stored. Each digest depends on all blocks before, so that the
 blocks after a difference show one that a single digest hides by chance."""
-CONTACT_PLACES = {
-    "time_us": TIME_PLACES,
-    "arrival_us": TIME_PLACES,
-    "x_10nm": POSITION_PLACES,
-    "y_10nm": POSITION_PLACES,
-    "normal_force_100un": FORCE_PLACES,
-    "velocity_x_10um_s": SPEED_PLACES,
-    "velocity_y_10um_s": SPEED_PLACES,
+CONTACT_COLUMNS = {
+    "time_us": ("time_s", TIME_PLACES),
+    "arrival_us": ("arrival_s", TIME_PLACES),
+    "x_10nm": ("x_m", POSITION_PLACES),
+    "y_10nm": ("y_m", POSITION_PLACES),
+    "normal_force_100un": ("normal_force_n", FORCE_PLACES),
+    "velocity_x_10um_s": ("velocity_x_m_s", SPEED_PLACES),
+    "velocity_y_10um_s": ("velocity_y_m_s", SPEED_PLACES),
 }
-"""Columns of contacts, and the number of decimal places that they are integers of."""
+"""Columns of contacts, each with its name in SI units, and the number of decimal places of these
+that it is an integer of."""
 NAME = re.compile(r"part-(\d{6})\.h5")
 """Names of the files."""
 
@@ -96,6 +97,8 @@ class SessionPart:
         What the session was played with.
     orders : list of bytes
         Orders that the server sent while the part was recorded, as lines of JSON.
+    messages : list of bytes
+        What happened to the display meanwhile, as lines of JSON.
     """
 
     def __init__(self, path: Path) -> None:
@@ -109,6 +112,7 @@ class SessionPart:
                     for name in file[table]
                 }
                 self.orders = bytes(file["orders"][:]).splitlines()
+                self.messages = bytes(file["messages"][:]).splitlines()
         except (OSError, KeyError, ValueError) as error:
             raise InputError(f"{path}: is no part of a session: {error}") from error
         try:
@@ -124,7 +128,8 @@ class SessionPart:
     def __iter__(self) -> Iterator[SessionBlock | SessionEvent]:
         """Yield blocks and the events between them, in their order."""
         c = {name: column.tolist() for name, column in self._columns.items()}
-        contacts = self._contacts()
+        b = {name: column.tolist() for name, column in self.blocks().items()}
+        contacts = self._samples()
         events = [
             SessionEvent(Kind(kind), number)
             for kind, number in zip(c["events/kind"], c["events/number"], strict=True)
@@ -135,73 +140,95 @@ class SessionPart:
             while done < len(events) and before[done] <= k:
                 yield events[done]
                 done += 1
-            yield SessionBlock(
-                BlockInput(
-                    c["blocks/number"][k], c["blocks/position"][k], bool(c["blocks/skipped"][k]),
-                    c["blocks/now_us"][k] / 10**TIME_PLACES,
-                    c["blocks/due_ns"][k] / 10**DUE_PLACES,
-                    tuple(contacts[taken : taken + count]),
-                ),
-                c["blocks/digest"][k],
+            rendered_from = BlockInput(
+                c["blocks/number"][k], b["position"][k], b["skipped"][k], b["rendered_s"][k],
+                b["due_s"][k], tuple(contacts[taken : taken + count]),
             )  # fmt: skip
+            yield SessionBlock(rendered_from, c["blocks/digest"][k])
             taken += count
         yield from events[done:]
 
-    def _contacts(self) -> list[tuple[int, FingerSample]]:
-        """Return the contacts, each with its client."""
+    def contacts(self) -> dict[str, NDArray[np.generic]]:
+        """Return the contacts in the order in which playback took them.
+
+        Returns
+        -------
+        dict of str to (K,) array
+            ``client``, the number of the client, and in SI units ``time_s``, ``arrival_s``,
+            ``x_m``, ``y_m``, ``normal_force_n``, ``velocity_x_m_s`` and ``velocity_y_m_s``. A
+            contact that was not valid is NaN, and so is a velocity that the client did not send.
+        """
         c = self._columns
-        time, arrival, x, y, force, vx, vy = (
-            np.where(c["contacts/time_us"] == INVALID, np.nan, c[f"contacts/{name}"] / 10**places)
-            for name, places in CONTACT_PLACES.items()
-        )
-        known = c["contacts/velocity_known"]
+        table: dict[str, NDArray[np.generic]] = {"client": c["contacts/client"]}
+        for stored, (name, places) in CONTACT_COLUMNS.items():
+            known = c["contacts/time_us"] != INVALID
+            if name.startswith("velocity"):
+                known &= c["contacts/velocity_known"] != 0
+            table[name] = np.where(known, c[f"contacts/{stored}"] / 10**places, np.nan)
+        return table
+
+    def blocks(self) -> dict[str, NDArray[np.generic]]:
+        """Return when and where blocks were rendered.
+
+        Returns
+        -------
+        dict of str to (B,) array
+            ``rendered_s``, the time of rendering; ``due_s``, the time for which it was rendered;
+            ``position``, counted in samples since playing began; ``skipped``, whether positions
+            before it were left out.
+        """
+        c = self._columns
+        return {
+            "rendered_s": c["blocks/now_us"] / 10**TIME_PLACES,
+            "due_s": c["blocks/due_ns"] / 10**DUE_PLACES,
+            "position": c["blocks/position"],
+            "skipped": c["blocks/skipped"] != 0,
+        }
+
+    def _samples(self) -> list[tuple[int, FingerSample]]:
+        """Return the contacts, each with its client."""
+        table = {name: column.tolist() for name, column in self.contacts().items()}
+        known = self._columns["contacts/velocity_known"].tolist()
         return [
-            (client, FingerSample(t, at, px, py, f, (u, v) if has else None))
-            for client, has, t, at, px, py, f, u, v in zip(
-                *(
-                    column.tolist()
-                    for column in (c["contacts/client"], known, time, arrival, x, y, force, vx, vy)
-                ),
-                strict=True,
-            )
+            (client, FingerSample(t, at, x, y, force, (vx, vy) if has else None))
+            for has, client, t, at, x, y, force, vx, vy in zip(known, *table.values(), strict=True)
         ]
 
 
-def parts(folder: str | Path) -> Iterator[SessionPart]:
-    """Yield the parts of a session.
+def part_files(folder: Path) -> list[Path]:
+    """Return the files of a session.
 
     Parameters
     ----------
-    folder : str or Path
+    folder : Path
         Folder of the session.
 
-    Yields
-    ------
-    SessionPart
-        Each part, in order.
+    Returns
+    -------
+    list of Path
+        File of each part, in order.
 
     Raises
     ------
     NotFoundError
         If the folder holds no part.
     InputError
-        If a part is missing or cannot be read.
+        If a part is missing.
     """
-    folder = Path(folder)
-    numbered = {
+    files = {
         int(match[1]): path
         for path in (folder.iterdir() if folder.is_dir() else ())
         if (match := NAME.fullmatch(path.name))
     }
-    if not numbered:
+    if not files:
         raise NotFoundError(f"{folder}: holds no session: there is no part-000001.h5")
-    for number in range(1, max(numbered) + 1):
-        if number not in numbered:
+    for number in range(1, max(files)):
+        if number not in files:
             raise InputError(
                 f"{folder}: part-{number:06d}.h5 is missing, without which what follows cannot be "
                 "rendered"
             )
-        yield SessionPart(numbered[number])
+    return [files[number] for number in sorted(files)]
 
 
 def write_part(
@@ -292,7 +319,7 @@ def _columns(records: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
         "events/kind": kind[is_event],
         "events/number": number[is_event],
     }
-    for (name, places), column in zip(CONTACT_PLACES.items(), contacts.T, strict=True):
+    for (name, (_, places)), column in zip(CONTACT_COLUMNS.items(), contacts.T, strict=True):
         columns[f"contacts/{name}"] = _whole(column, places)
     columns["contacts/time_us"][~valid] = INVALID
     return columns

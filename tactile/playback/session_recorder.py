@@ -172,7 +172,12 @@ def main(clock: Clock = MONOTONIC) -> None:
         return
     with suppress(AttributeError, OSError):
         os.nice(NICE)
-    header = msgspec.structs.replace(setup.header, versions=present_versions())
+    header = msgspec.structs.replace(
+        setup.header,
+        versions=present_versions(),
+        begun_s=clock.now(),
+        begun_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds"),
+    )
     try:
         folder = new_folder(Path(setup.folder), header.name)
         recorder = SessionRecorder(folder, header, SessionRing(setup.ring))

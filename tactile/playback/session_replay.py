@@ -1,9 +1,8 @@
 """Replay of a session: its drive is rendered again from the session alone and compared."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from tactile.playback.session_parts import (
     SessionBlock,
     SessionEvent,
     SessionPart,
-    parts,
+    part_files,
 )
 from tactile.playback.session_ring import Kind, next_digest
 from tactile.texture.surface import texture_of
@@ -108,7 +107,7 @@ class _Player:
 
 
 def render_session(
-    folder: Path,
+    folder: Path, progress: Callable[[int, int], object] | None = None
 ) -> Iterator[tuple[SessionBlock | SessionEvent, DriveBlock | DriveFrame | None]]:
     """Yield the blocks of a session, rendered again.
 
@@ -116,6 +115,8 @@ def render_session(
     ----------
     folder : Path
         Folder of the session.
+    progress : callable, optional
+        Function that is called with the number of parts that were rendered, and of all parts.
 
     Yields
     ------
@@ -129,14 +130,17 @@ def render_session(
     NotFoundError, InputError
         If the session cannot be read, or holds something that this version cannot render.
     """
-    player: _Player | None = None
-    for part, following in pairwise(_with_end(parts(folder))):
-        assert part is not None
-        if player is None:
-            player = _Player(folder, part.header)
-            player.read(part)
-        if following is not None:
+    files = part_files(folder)
+    following: SessionPart | None = SessionPart(files[0])
+    assert following is not None
+    player = _Player(folder, following.header)
+    player.read(following)
+    for done in range(len(files)):
+        part, following = following, None
+        if done + 1 < len(files):
+            following = SessionPart(files[done + 1])
             player.read(following)  # an order may be recorded shortly after its execution
+        assert part is not None
         for what in part:
             if isinstance(what, SessionBlock):
                 yield what, player.mixer.render(what.rendered_from)
@@ -147,21 +151,21 @@ def render_session(
             else:
                 yield what, None
                 return
+        if progress is not None:
+            progress(done + 1, len(files))
 
 
-def _with_end(all_parts: Iterator[SessionPart]) -> Iterator[SessionPart | None]:
-    """Yield all parts and then None."""
-    yield from all_parts
-    yield None
-
-
-def replay_session(folder: str | Path) -> SessionReplay:
+def replay_session(
+    folder: str | Path, progress: Callable[[int, int], object] | None = None
+) -> SessionReplay:
     """Render the drive of a session again, from the session alone, and compare it.
 
     Parameters
     ----------
     folder : str or Path
         Folder of the session.
+    progress : callable, optional
+        Function that is called with the number of parts that were compared, and of all parts.
 
     Returns
     -------
@@ -177,19 +181,21 @@ def replay_session(folder: str | Path) -> SessionReplay:
     result = SessionReplay(str(folder))
     try:
         with threadpool_limits(1):  # as in the processes of the server
-            _compare(result, Path(folder))
+            _compare(result, Path(folder), progress)
     except InputError as error:
         if str(error).startswith(str(folder)):
             raise
         raise InputError(f"{folder}: cannot be replayed: {error}") from error
-    result.other_versions = other_versions(next(parts(folder)).header.versions)
+    result.other_versions = other_versions(SessionPart(part_files(Path(folder))[0]).header.versions)
     return result
 
 
-def _compare(result: SessionReplay, folder: Path) -> None:
+def _compare(
+    result: SessionReplay, folder: Path, progress: Callable[[int, int], object] | None
+) -> None:
     """Render a session until the first difference, or until records are lost."""
     digest, begun = 0, None
-    for what, drive in render_session(folder):
+    for what, drive in render_session(folder, progress):
         if isinstance(what, SessionEvent):
             result.lost_records = what.number
             return

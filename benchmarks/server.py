@@ -185,7 +185,7 @@ def children_of(pid: int) -> dict[str, int]:
         with suppress(OSError):
             if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == pid:
                 words = (entry / "cmdline").read_text()
-                for kind in ("playback.process", "preparing", "estop.process"):
+                for kind in ("playback.process", "preparing", "estop.process", "session_recorder"):
                     if kind in words and is_alive(int(entry.name)):
                         processes[kind] = int(entry.name)
     return processes
@@ -208,6 +208,8 @@ class ServerProcess:
         OSC port, 0 for none.
     server : str
         Further lines of the table ``server``.
+    record : str
+        Folder for sessions; nothing is recorded if it is empty.
     """
 
     def __init__(
@@ -219,10 +221,12 @@ class ServerProcess:
         log: str = "log",
         osc: int = 0,
         server: str = "",
+        record: str = "",
     ) -> None:
         self._config, self._stderr = folder / "tactile.toml", folder / "stderr"
+        recorded = f'[record]\nfolder = "{record}"\n' if record else ""
         self._config.write_text(
-            f'[server]\nport = 0\n{server}\n[osc]\nport = {osc}\n[log]\nfile = "{log}"\n'
+            f'[server]\nport = 0\n{server}\n[osc]\nport = {osc}\n[log]\nfile = "{log}"\n{recorded}'
             f'[[display]]\nname = "{NAME}"\ndevice = "serial://{device}"\n'
             f"worn = {str(worn).lower()}\n"
         )

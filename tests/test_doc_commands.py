@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from test_readme import DOCUMENTS, make_recording
+from test_readme import DOCUMENTS, make_recording, make_session
 
 import tactile
 from tactile.files import shipped
@@ -75,6 +75,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(display, place / "my-display.toml")
     rows = (f"{t / 100},{0.8 * t},0,0.5\n" for t in range(31))
     (place / "slide.csv").write_text("time_s,x_mm,y_mm,normal_force_n\n" + "".join(rows))
+    make_session(place)
     rng = np.random.default_rng(0)
     for name in ("a.wav", "b.wav"):
         with wave.open(str(place / name), "wb") as file:

@@ -1,12 +1,15 @@
 """Tests of README.md and docs/: Python lines and commands run, and linked files exist."""
 
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 import tomllib
 from pathlib import Path
 
 import pytest
+from session_rig import recorded_session
 from test_architecture import MAP
 
 import tactile
@@ -40,11 +43,19 @@ def make_recording(path: Path) -> None:
     subprocess.run([sys.executable, "-m", "tactile", *words], cwd=path.parent, check=True)
 
 
+def make_session(folder: Path) -> None:
+    """Make the session of a server that the documents read."""
+    with tempfile.TemporaryDirectory() as place:
+        session = recorded_session(Path(place))
+        shutil.copytree(session, folder / "sessions" / "right-20261125T101500Z")
+
+
 @pytest.mark.realtime
 @pytest.mark.parametrize("name", RUN)
 def test_their_python_lines_run(name: str, tmp_path: Path) -> None:
     """Some play in real time, with the timeouts that programs have by default."""
     make_recording(tmp_path / "oak.h5")
+    make_session(tmp_path)
     blocks = re.findall(PYTHON, DOCUMENTS[name], re.DOTALL | re.MULTILINE)
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", "\n".join(blocks)],

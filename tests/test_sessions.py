@@ -1,10 +1,8 @@
 """Tests of sessions: what a server played is rendered again from its recording alone."""
 
-import asyncio
 import math
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +10,11 @@ import h5py
 import numpy as np
 import pytest
 from cli_rig import Command
-from virtual_server import World, small_display, virtual_world
+from session_rig import NAME, SERIAL, SPECTRUM, Story, recorded_session
+from virtual_server import virtual_world
 
 import tactile
 from tactile import messages as m
-from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock, DriveFrame
 from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.errors import InputError, NotFoundError
@@ -25,102 +23,9 @@ from tactile.playback.session_parts import SessionBlock, SessionPart, part_files
 from tactile.playback.session_recorder import LEAST_FREE
 from tactile.playback.session_replay import render_session, replay_session
 from tactile.playback.session_ring import RECORDS, Kind, SessionRing
-from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, RecordConfig
 from tactile.server.session_recording import prepare_folder
 from tactile.tracking.finger_sample import FingerSample, rounded
-
-NAME = "left"
-SERIAL = "mock:?link=serial&bit_rate=3000000&format=pcm16&disconnect_s=2"
-"""Amplifier whose link is lost every 2 s."""
-SPECTRUM = "mock:?link=can&format=spectrum"
-
-
-@dataclass
-class Story:
-    """Server with one display that is recorded, and two clients of it."""
-
-    world: World
-    folder: Path
-    written: list[Floats] = field(default_factory=list)
-
-    def start(self, device: str, rate: float | None) -> tuple[Client, Client]:
-        display = DisplayConfig(
-            name=NAME, display=small_display(self.folder), device=device, sample_rate_hz=rate,
-            gain=0.9, voltage_limit_v=50.0,
-        )  # fmt: skip
-        record = RecordConfig(folder=str(self.folder / "sessions"))
-        assert self.world.start(Configuration(display=(display,), record=record))
-        assert self.world.host is not None
-        self.pause(0.2)
-        return (
-            self.world.host.connect("one", roles=m.ALL_ROLES),
-            self.world.host.connect("two", roles=m.ALL_ROLES),
-        )
-
-    @property
-    def sessions(self) -> list[Path]:
-        return sorted((self.folder / "sessions").iterdir())
-
-    def pause(self, seconds: float) -> None:
-        self.world.run(asyncio.sleep(seconds))
-
-    def ask(self, client: Client, command: m.Command) -> m.Answer:
-        return self.world.run(client.request(command))
-
-    def slide(self, client: Client, seconds: float, *, velocity: bool = False) -> None:
-        """Slide a finger back and forth, 250 contacts a second, and lift it."""
-        for k in range(round(250 * seconds)):
-            t = k / 250
-            pair = (60 * math.cos(t), -20 * math.sin(t)) if velocity else None
-            place = 60 * math.sin(t), 20 * math.cos(t)
-            self._touch(client, place, 0.5 + 0.2 * math.sin(9 * t), pair)
-            self.pause(1 / 250)
-        self._touch(client, (0.0, 0.0), 0.0, None)
-
-    def _touch(
-        self,
-        client: Client,
-        place: tuple[float, float],
-        force: float,
-        velocity: tuple[float, float] | None,
-    ) -> None:
-        contact = m.Contact(
-            display=NAME, position_mm=place, normal_force_n=force, velocity_mm_s=velocity
-        )
-        client.contact(contact, self.world.clock.now())
-
-    def play_everything(self, one: Client, two: Client) -> None:
-        """Play textures, waveforms and effects, with an e-stop and two fingers."""
-        wave = tuple(math.sin(k / 3) for k in range(1000))
-        self.ask(one, m.Select(display=NAME, layers=(m.Layer(texture="wood-oak"),)))
-        assert isinstance(self.ask(one, m.ArmDisplay(display=NAME)), m.Done)
-        self.slide(one, 0.4)
-        self.ask(one, m.SetGain(display=NAME, gain=0.4))
-        layers = m.Layer(texture="leather-calf", gain=0.5), m.Layer(texture="wood-oak", seed=3)
-        self.ask(two, m.Select(display=NAME, layers=layers))
-        self.ask(one, m.Append(display=NAME, sample_rate_hz=5000, amplitude_um=3, samples=wave))
-        self.slide(two, 0.4, velocity=True)
-        points = m.Point(time_ms=0.0, value=1.0), m.Point(time_ms=500.0, value=0.2)
-        self.ask(two, m.PlayEffect(display=NAME, amplitude_um=2, amplitude=points))
-        self.slide(one, 0.2)
-        estop = self.ask(one, m.EStop())
-        self.slide(one, 0.1)
-        assert isinstance(estop, m.Done)
-        number = estop.estops[NAME]
-        assert isinstance(self.ask(one, m.ClearEstop(display=NAME, estop=number)), m.Done)
-        assert isinstance(self.ask(two, m.ArmDisplay(display=NAME)), m.Done)
-        self.slide(two, 0.3)
-        self.ask(one, m.Append(
-            display=NAME, sample_rate_hz=8000, amplitude_um=1, samples=wave, contactors=(1,),
-        ))  # fmt: skip
-        self.ask(one, m.StopPlaying(display=NAME))
-        self.world.run(self._drop(one))
-        self.slide(two, 0.3)
-
-    async def _drop(self, client: Client) -> None:
-        assert self.world.host is not None
-        self.world.host.drop(client)
 
 
 @pytest.fixture
@@ -132,13 +37,7 @@ def story(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Story]:
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the session of a story on a serial link."""
-    folder = tmp_path_factory.mktemp("session")
-    with virtual_world(lambda playback, volts: None) as world:
-        story = Story(world, folder)
-        story.play_everything(*story.start(SERIAL, 8000.0))
-        world.stop()
-        (session,) = story.sessions
-    return session
+    return recorded_session(tmp_path_factory.mktemp("session"))
 
 
 def rendered(session: Path) -> list[tuple[SessionBlock, DriveBlock | DriveFrame]]:
@@ -320,8 +219,30 @@ def test_sessions_that_cannot_be_replayed_say_why(session: Path, tmp_path: Path)
         replay_session(tmp_path / "copy")
     (tmp_path / "copy" / "part-000003.h5").rename(tmp_path / "copy" / "part-000001.h5")
     (tmp_path / "copy" / "part-000001.h5").write_bytes(b"no HDF5")
-    with pytest.raises(InputError, match="is no part of a session"):
+    with pytest.raises(InputError, match="is no part of a session, or damaged"):
         replay_session(tmp_path / "copy")
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "why"),
+    [
+        ("contacts/x_10nm", lambda c: c[:-1], "the columns of 'contacts' differ in length"),
+        ("blocks/contacts", lambda c: c + 1, "the blocks took more or fewer contacts"),
+        ("events/kind", lambda c: c + 9, "there is an unknown kind of event"),
+        ("blocks/due_ns", lambda c: c * 0.5, "a column of 'blocks' is no list of integers"),
+        ("events/number", lambda c: c[None], "a column of 'events' is no list of integers"),
+    ],
+)
+def test_a_damaged_part_is_refused_with_one_line(
+    session: Path, tmp_path: Path, column: str, change: Callable[[Any], Any], why: str
+) -> None:
+    def damage(file: h5py.File) -> None:
+        values = file[column][:]
+        del file[column]
+        file[column] = change(values)
+
+    with pytest.raises(InputError, match=rf"part-000001\.h5: .*{why}"):
+        replay_session(changed(session, tmp_path, damage))
 
 
 def test_the_command_exits_with_1_and_names_the_first_block_that_differs(

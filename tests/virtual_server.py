@@ -60,7 +60,7 @@ from tactile.playback.mixer import BlockInput, Mixer
 from tactile.playback.process import Program
 from tactile.playback.session_messages import RecorderAnswer, SessionSetup
 from tactile.playback.session_orders import TextureDescription
-from tactile.playback.session_recorder import LOOK, SessionRecorder, new_folder
+from tactile.playback.session_recorder import LOOK, SessionRecorder, completed, new_folder
 from tactile.playback.session_ring import SessionRing
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.server import host, preparing
@@ -247,7 +247,8 @@ class RecorderProcess(Process):
             file = int(self.handle(order.ring).partition(":")[2])
             self._ring = SessionRing(f"fd:{os.dup(file)}")
             folder = new_folder(Path(order.folder), order.header.name)
-            self.recorder = SessionRecorder(folder, order.header, self._ring)
+            header = completed(order.header, self.clock.now())
+            self.recorder = SessionRecorder(folder, header, self._ring)
             self.answer(RecorderAnswer(str(folder)))
             self._look()
         else:

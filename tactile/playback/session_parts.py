@@ -47,6 +47,14 @@ CONTACT_COLUMNS = {
 }
 """Columns of contacts, each with its name in SI units, and the number of decimal places of these
 that it is an integer of."""
+TABLES = {
+    "blocks": ("number", "position", "skipped", "now_us", "due_ns", "contacts", "digest"),
+    "contacts": ("client", "velocity_known", *CONTACT_COLUMNS),
+    "events": ("before_block", "kind", "number"),
+}
+"""Tables of a file and their columns, which are all integers."""
+DAMAGE = (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError)
+"""Exceptions of HDF5 for a file that is damaged or is no part of a session."""
 NAME = re.compile(r"part-(\d{6})\.h5")
 """Names of the files."""
 
@@ -102,19 +110,19 @@ class SessionPart:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
         try:
             with h5py.File(path, "r") as file:
                 text = bytes(file["header"][:])
                 self._columns = {
                     f"{table}/{name}": _plain(file[table][name])
-                    for table in ("blocks", "contacts", "events")
-                    for name in file[table]
+                    for table, names in TABLES.items()
+                    for name in names
                 }
                 self.orders = bytes(file["orders"][:]).splitlines()
                 self.messages = bytes(file["messages"][:]).splitlines()
-        except (OSError, KeyError, ValueError) as error:
-            raise InputError(f"{path}: is no part of a session: {error}") from error
+            self._check()
+        except DAMAGE as error:
+            raise InputError(f"{path}: is no part of a session, or damaged: {error}") from error
         try:
             self.header = msgspec.json.decode(text, type=SessionHeader)
         except msgspec.MsgspecError as error:
@@ -124,6 +132,26 @@ class SessionPart:
                 f"{path}: has format {self.header.format}, must be {FORMAT}; use the version of "
                 f"tactile that recorded it, {self.header.versions.get('tactile', 'unknown')}"
             )
+
+    def _check(self) -> None:
+        """Refuse columns that do not belong together.
+
+        Raises
+        ------
+        ValueError
+            If that is so.
+        """
+        c = self._columns
+        for table, names in TABLES.items():
+            columns = [c[f"{table}/{name}"] for name in names]
+            if any(column.ndim != 1 or column.dtype.kind not in "iu" for column in columns):
+                raise ValueError(f"a column of {table!r} is no list of integers")
+            if len({len(column) for column in columns}) != 1:
+                raise ValueError(f"the columns of {table!r} differ in length")
+        if np.sum(c["blocks/contacts"], dtype=np.int64) != len(c["contacts/client"]):
+            raise ValueError("the blocks took more or fewer contacts than there are")
+        if not np.isin(c["events/kind"], (Kind.ORDER, Kind.SILENCE, Kind.LOST)).all():
+            raise ValueError("there is an unknown kind of event")
 
     def __iter__(self) -> Iterator[SessionBlock | SessionEvent]:
         """Yield blocks and the events between them, in their order."""

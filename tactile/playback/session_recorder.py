@@ -164,6 +164,25 @@ def new_folder(parent: Path, name: str) -> Path:
     raise FileExistsError(f"{folder}: exists, as do 999 before it")
 
 
+def completed(header: SessionHeader, now: float) -> SessionHeader:
+    """Return the header of a session that begins now.
+
+    Parameters
+    ----------
+    header : SessionHeader
+        Header without versions and time.
+    now : float
+        Time in the host's clock [s].
+
+    Returns
+    -------
+    SessionHeader
+        Header with the versions of all that the drive depends on, and with the time.
+    """
+    utc = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+    return msgspec.structs.replace(header, versions=present_versions(), begun_s=now, begun_utc=utc)
+
+
 def main(clock: Clock = MONOTONIC) -> None:
     """Record as the server says on standard input, until that ends."""
     inward, outward = pipes_of_parent()
@@ -172,12 +191,7 @@ def main(clock: Clock = MONOTONIC) -> None:
         return
     with suppress(AttributeError, OSError):
         os.nice(NICE)
-    header = msgspec.structs.replace(
-        setup.header,
-        versions=present_versions(),
-        begun_s=clock.now(),
-        begun_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds"),
-    )
+    header = completed(setup.header, clock.now())
     try:
         folder = new_folder(Path(setup.folder), header.name)
         recorder = SessionRecorder(folder, header, SessionRing(setup.ring))

@@ -60,7 +60,7 @@ def _measure() -> Iterator[Figure]:
         begun = time.perf_counter()
         result = replay_session(session)
         took = time.perf_counter() - begun
-    per_hour = size / result.duration_s * 3600 / 1e6
+    per_hour = size / result.compared_blocks * BLOCKS * 3600 / 1e6
     alone, with_contact = _block_time(contacts=0), _block_time(contacts=1)
     in_playback = (BLOCKS - RATE) * alone + RATE * with_contact
     yield at_most("session.size", per_hour, "MB/h", 20)

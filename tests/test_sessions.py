@@ -245,6 +245,18 @@ def test_a_damaged_part_is_refused_with_one_line(
         replay_session(changed(session, tmp_path, damage))
 
 
+def test_a_session_of_a_newer_version_is_refused_by_its_format(
+    session: Path, tmp_path: Path
+) -> None:
+    def renew(file: h5py.File) -> None:
+        text = bytes(file["header"][:]).replace(b'"format":1', b'"format":2')
+        del file["header"], file["blocks"]
+        file["header"] = np.frombuffer(text, np.uint8)
+
+    with pytest.raises(InputError, match=r"part-000001\.h5: has format 2, must be 1; use the ver"):
+        replay_session(changed(session, tmp_path, renew))
+
+
 def test_the_command_exits_with_1_and_names_the_first_block_that_differs(
     session: Path, tmp_path: Path, command: Command
 ) -> None:

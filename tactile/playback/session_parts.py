@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import msgspec
@@ -53,8 +54,10 @@ TABLES = {
     "events": ("before_block", "kind", "number"),
 }
 """Tables of a file and their columns, which are all integers."""
-DAMAGE = (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError)
-"""Exceptions of HDF5 for a file that is damaged or is no part of a session."""
+DAMAGE = (
+    OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError, msgspec.MsgspecError,
+)  # fmt: skip
+"""Exceptions of the libraries for a file that is damaged or is no part of a session."""
 NAME = re.compile(r"part-(\d{6})\.h5")
 """Names of the files."""
 
@@ -105,33 +108,33 @@ class SessionPart:
         What the session was played with.
     orders : list of bytes
         Orders that the server sent while the part was recorded, as lines of JSON.
-    messages : list of bytes
-        What happened to the display meanwhile, as lines of JSON.
+    messages : list of dict
+        What happened to the display meanwhile: ``time_s``, ``kind`` and ``detail``.
     """
 
     def __init__(self, path: Path) -> None:
         try:
             with h5py.File(path, "r") as file:
-                text = bytes(file["header"][:])
+                self.header = msgspec.json.decode(bytes(file["header"][:]), type=SessionHeader)
+                if self.header.format != FORMAT:
+                    raise InputError(
+                        f"{path}: has format {self.header.format}, must be {FORMAT}; use the "
+                        "version of tactile that recorded it, "
+                        f"{self.header.versions.get('tactile', 'unknown')}"
+                    )
                 self._columns = {
                     f"{table}/{name}": _plain(file[table][name])
                     for table, names in TABLES.items()
                     for name in names
                 }
                 self.orders = bytes(file["orders"][:]).splitlines()
-                self.messages = bytes(file["messages"][:]).splitlines()
+                lines = bytes(file["messages"][:]).splitlines()
+            self.messages = [msgspec.json.decode(line, type=dict[str, Any]) for line in lines]
             self._check()
+        except InputError:
+            raise
         except DAMAGE as error:
             raise InputError(f"{path}: is no part of a session, or damaged: {error}") from error
-        try:
-            self.header = msgspec.json.decode(text, type=SessionHeader)
-        except msgspec.MsgspecError as error:
-            raise InputError(f"{path}: header: {error}") from error
-        if self.header.format != FORMAT:
-            raise InputError(
-                f"{path}: has format {self.header.format}, must be {FORMAT}; use the version of "
-                f"tactile that recorded it, {self.header.versions.get('tactile', 'unknown')}"
-            )
 
     def _check(self) -> None:
         """Refuse columns that do not belong together.

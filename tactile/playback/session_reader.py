@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,7 +88,7 @@ def load_session(folder: str | Path) -> Session:
         parts[0].header,
         _joined([part.contacts() for part in parts]),
         _joined([part.blocks() for part in parts]),
-        [msgspec.json.decode(line) for part in parts for line in part.messages],
+        [message for part in parts for message in part.messages],
     )
 
 

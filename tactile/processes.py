@@ -17,6 +17,8 @@ from typing import IO, Any, BinaryIO, cast
 
 PROGRAM = "import sys; sys.path[:] = {!r}; from {} import main; main()"
 """Program of a child, to be formatted with the path of its parent and the module to run."""
+REAPING = 5.0
+"""Time limit for a process that was killed to end [s]."""
 JOINING = 1.0
 """Time limit for the threads of a child that was killed to end [s]."""
 BUFFER = 1 << 16
@@ -86,7 +88,8 @@ class ChildProcess:
         """Kill the process at once, and close its threads and pipes."""
         with suppress(OSError):
             self._process.kill()
-        self._process.wait()
+        with suppress(subprocess.TimeoutExpired):  # a disk may hold up even one that was killed
+            self._process.wait(REAPING)
         for thread in self._threads:
             thread.join(JOINING)
         for pipe in (self._pipe, cast(Any, self._process.stdout)):

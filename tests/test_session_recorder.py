@@ -164,6 +164,7 @@ def test_what_a_real_server_played_is_rendered_again(
     process.send_signal(signal.SIGTERM)
     process.wait(PATIENCE)
     (session,) = (tmp_path / "sessions").iterdir()
+    wait_for("the recorder has written", (session / "part-000001.h5").exists)
     result = replay_session(session)
     assert result.is_identical, result
     assert result.compared_blocks > 0

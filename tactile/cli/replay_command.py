@@ -63,10 +63,9 @@ def _replay_session(folder: Path, as_json: bool) -> None:
 
 def _session_difference(r: "SessionReplay") -> str:
     """Return where a session differs, and what else has changed, or what it lacks."""
-    if r.lost_records:
+    if r.missing:
         return (
-            f"{r.lost_records} records are missing after block {r.compared_blocks - 1}; what "
-            "follows was not compared"
+            f"{r.missing} missing after {r.compared_blocks} blocks; what follows was not compared"
         )
     text = f"the drive differs from block {r.first_block} on, at {r.first_time_s:.3f} s"
     return "; ".join([text, *_versions(r)])

@@ -1,8 +1,8 @@
 """Playback loop of one display: it renders each block as late as possible.
 
 Each block is rendered for the time at which it will be put out, from the finger's position
-predicted for that time, as late as the bus allows. `Mixer` renders it; the loop passes it all that
-depends on time or chance.
+predicted for that time, as late as the bus allows. The loop is a `Mixer`, which renders the block
+from a `BlockInput` with all that depends on time or chance.
 
 The loop never raises because of what it receives and never waits for a sender; what it could not do
 is counted. After a delay it continues with the block that is due by then, and fades in.

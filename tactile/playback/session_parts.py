@@ -1,8 +1,8 @@
 """Files of a session: a folder of HDF5 files, each of which holds a part of it.
 
 A part is written whole under another name, flushed to the disk and then renamed, so that every part
-is complete whatever is killed or loses power. Columns of integers that change little are stored as
-their first value and then the differences, which compress best; their attribute ``coding`` says so.
+is complete whatever is killed or loses power. Columns of 64 bits are stored as their first value
+and then the differences, which compress best; their attribute ``coding`` says so.
 """
 
 import os
@@ -29,9 +29,10 @@ from tactile.tracking.finger_sample import (
     FingerSample,
 )
 
-LARGEST = 1e15
-"""Largest magnitude of a number that is stored; a contact with a larger one, or with one that is
-not finite, is stored as `INVALID`, since playback ignores it."""
+LARGEST = 1e9
+"""Largest magnitude of a number of a contact that is stored, 32 years or a million kilometers; a
+contact with a larger one, or with one that is not finite, is stored as `INVALID`, since playback
+ignores it."""
 INVALID = np.iinfo(np.int64).min
 """Time of a contact that is not valid."""
 DIGEST_BITS = 0xFFFF
@@ -49,7 +50,7 @@ CONTACT_COLUMNS = {
 """Columns of contacts, each with its name in SI units, and the number of decimal places of these
 that it is an integer of."""
 TABLES = {
-    "blocks": ("number", "position", "skipped", "now_us", "due_ns", "contacts", "digest"),
+    "blocks": ("number", "position", "skipped", "now_us", "due_100ns", "contacts", "digest"),
     "contacts": ("client", "velocity_known", *CONTACT_COLUMNS),
     "events": ("before_block", "kind", "number"),
 }
@@ -211,7 +212,7 @@ class SessionPart:
         c = self._columns
         return {
             "rendered_s": c["blocks/now_us"] / 10**TIME_PLACES,
-            "due_s": c["blocks/due_ns"] / 10**DUE_PLACES,
+            "due_s": c["blocks/due_100ns"] / 10**DUE_PLACES,
             "position": c["blocks/position"],
             "skipped": c["blocks/skipped"] != 0,
         }
@@ -268,8 +269,8 @@ def write_part(
     header: SessionHeader,
     records: NDArray[np.void],
     orders: bytes,
-    events: bytes,
-) -> int:
+    messages: bytes,
+) -> None:
     """Write a part of a session.
 
     Parameters
@@ -284,20 +285,15 @@ def write_part(
         Records of playback.
     orders : bytes
         Orders of the server, as lines of JSON.
-    events : bytes
-        Events of the display, as lines of JSON.
-
-    Returns
-    -------
-    int
-        Size of the file [bytes].
+    messages : bytes
+        What happened to the display, as lines of JSON.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    content = _content(header, records, orders, events)
+    content = _content(header, records, orders, messages)
     new = folder / f"part-{number:06d}.new"
     try:
         with open(new, "wb") as file:
@@ -308,16 +304,15 @@ def write_part(
     except BaseException:
         new.unlink(missing_ok=True)
         raise
-    return len(content)
 
 
 def _content(
-    header: SessionHeader, records: NDArray[np.void], orders: bytes, events: bytes
+    header: SessionHeader, records: NDArray[np.void], orders: bytes, messages: bytes
 ) -> bytes:
     """Return the content of a file, built in memory: HDF5 crashes when the disk is full."""
     with h5py.File("part", "w", driver="core", backing_store=False, libver="latest") as file:
         file["header"] = np.frombuffer(msgspec.json.encode(header), np.uint8)
-        for name, text in (("orders", orders), ("messages", events)):
+        for name, text in (("orders", orders), ("messages", messages)):
             _write(file, name, np.frombuffer(text, np.uint8))
         for name, column in _columns(records).items():
             _write(file, name, column)
@@ -341,7 +336,7 @@ def _columns(records: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
         "blocks/position": position.astype(np.int64),
         "blocks/skipped": records["flag"][is_block],
         "blocks/now_us": _whole(now, TIME_PLACES),
-        "blocks/due_ns": _whole(due, DUE_PLACES),
+        "blocks/due_100ns": _whole(due, DUE_PLACES),
         "blocks/contacts": np.diff(np.cumsum(is_contact)[is_block], prepend=0).astype(np.uint16),
         "blocks/digest": (records["digest"][is_block] & DIGEST_BITS).astype(np.uint16),
         "contacts/client": number[is_contact],

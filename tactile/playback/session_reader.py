@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from tactile.bus.base import DriveBlock, DriveFrame
 from tactile.playback.session_messages import SessionHeader
@@ -41,7 +42,7 @@ class Session:
     messages: list[dict[str, Any]]
 
     def drives(self) -> Iterator[tuple[float, DriveBlock | DriveFrame]]:
-        """Yield the drive, rendered again from the session.
+        """Yield the drive, rendered again from the session as far as nothing is missing.
 
         Yields
         ------
@@ -55,9 +56,13 @@ class Session:
         InputError
             If this version cannot render the session.
         """
-        for what, drive in render_session(self.folder):
-            if isinstance(what, SessionBlock) and drive is not None:
-                yield what.rendered_from.due, drive
+        libraries, rendered = ThreadpoolController(), render_session(self.folder)
+        while True:
+            with libraries.limit(limits=1):  # as in the processes of the server
+                what, drive = next(rendered, (None, None))
+            if not isinstance(what, SessionBlock) or drive is None:
+                return
+            yield what.rendered_from.due, drive
 
 
 def load_session(folder: str | Path) -> Session:

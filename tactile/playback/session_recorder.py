@@ -7,9 +7,10 @@ server has ended or was killed, it writes what it has and ends.
 
 import datetime
 import os
+import queue
 import shutil
+import signal
 import threading
-from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
@@ -34,7 +35,10 @@ from tactile.processes import pipes_of_parent, received, send
 LOOK = 0.5
 """Interval between looks at the ring [s]."""
 PART = 60.0
-"""Longest duration of a part, of which a kill of this process loses the last [s]."""
+"""Longest duration of a part [s]; a kill of this process loses the one that is not written yet."""
+MOST_MESSAGES = 2000
+"""Maximum number of messages that wait to be collected, of 30 kB at most. The server counts what it
+cannot send while that many wait because a disk is slow."""
 MOST_RECORDS = 8 * RECORDS
 """Number of records after which a part is written before its time: 19 MB."""
 MOST_TEXT = 8 << 20
@@ -56,30 +60,24 @@ class SessionRecorder:
         What the session is played with.
     ring : SessionRing
         Ring that playback writes to.
-
-    Attributes
-    ----------
-    size : int
-        Size of all parts so far [bytes].
     """
 
     def __init__(self, folder: Path, header: SessionHeader, ring: SessionRing) -> None:
         self._folder, self._header, self._ring = folder, header, ring
         self._records: list[NDArray[np.void]] = []
-        self._messages: deque[NumberedOrder | SessionMessage] = deque()
+        self._messages: queue.Queue[NumberedOrder | SessionMessage] = queue.Queue(MOST_MESSAGES)
         self._orders, self._news = bytearray(), bytearray()
         self._part, self._begun = 0, -np.inf
-        self.size = 0
 
     def take(self, message: NumberedOrder | SessionMessage) -> None:
-        """Take a message of the server, from any thread.
+        """Take a message of the server, from another thread; wait while too many wait.
 
         Parameters
         ----------
         message : NumberedOrder or SessionMessage
             The message.
         """
-        self._messages.append(message)
+        self._messages.put(message)
 
     def turn(self, now: float, *, last: bool = False) -> None:
         """Collect what has come, and write a part if it is time for one.
@@ -96,11 +94,12 @@ class SessionRecorder:
         OSError
             If a part cannot be written, or the disk has less than `LEAST_FREE` left.
         """
-        while self._messages:
-            self._add(self._messages.popleft())
-        rows = self._ring.take()
+        rows = self._ring.take()  # before the messages, with which the orders in it come
         if len(rows):
             self._records.append(rows)
+        with suppress(queue.Empty):
+            while True:
+                self._add(self._messages.get_nowait())
         if self._begun == -np.inf:
             self._begun = now
         count, text = sum(map(len, self._records)), len(self._orders) + len(self._news)
@@ -126,11 +125,11 @@ class SessionRecorder:
         whole = np.flatnonzero(rows["kind"] != Kind.CONTACT)
         end = int(whole[-1]) + 1 if len(whole) else 0
         self._part += 1
-        self.size += write_part(
+        write_part(
             self._folder, self._part, self._header, rows[:end], bytes(self._orders),
             bytes(self._news),
         )  # fmt: skip
-        self._records = [rows[end:]]
+        self._records = [rows[end:]] if end < len(rows) else []
         self._orders, self._news = bytearray(), bytearray()
 
 
@@ -186,6 +185,7 @@ def completed(header: SessionHeader, now: float) -> SessionHeader:
 def main(clock: Clock = MONOTONIC) -> None:
     """Record as the server says on standard input, until that ends."""
     inward, outward = pipes_of_parent()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the end of the pipe ends it
     setup: SessionSetup | None = next(received(inward), None)
     if setup is None:
         return
@@ -199,9 +199,11 @@ def main(clock: Clock = MONOTONIC) -> None:
         ended = threading.Event()
 
         def read() -> None:
-            for message in received(inward):
-                recorder.take(message)
-            ended.set()
+            try:
+                for message in received(inward):
+                    recorder.take(message)
+            finally:
+                ended.set()
 
         threading.Thread(target=read, name="tactile-session", daemon=True).start()
         last = False

@@ -43,8 +43,9 @@ class SessionReplay:
         Index of the first block that differs, from 0; None if none does.
     first_time_s : float or None
         Time of that block since the first block [s].
-    lost_records : int
-        Number of records that the recorder missed; what follows them was not compared.
+    missing : str
+        What the recorder missed, such as "12 records"; what follows was not compared. Empty if
+        nothing is missing.
     other_versions : dict of str to (str, str)
         Versions at the time of the recording and now, where they differ.
     """
@@ -54,13 +55,13 @@ class SessionReplay:
     duration_s: float = 0.0
     first_block: int | None = None
     first_time_s: float | None = None
-    lost_records: int = 0
+    missing: str = ""
     other_versions: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
     def is_identical(self) -> bool:
         """Whether the whole session was compared and nothing differs."""
-        return self.first_block is None and not self.lost_records
+        return self.first_block is None and not self.missing
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison as plain data.
@@ -92,18 +93,19 @@ class _Player:
         """Take the orders of a part."""
         self._orders.update(map(decoded, part.orders))
 
-    def execute(self, number: int) -> None:
-        """Execute an order as playback did, which answers an error and plays on."""
-        if number not in self._orders:
-            raise InputError(f"order {number} is missing")
-        order = self._orders.pop(number)
+    def execute(self, number: int) -> bool:
+        """Execute an order as playback did; return False if it is missing."""
+        order = self._orders.pop(number, None)
+        if order is None:
+            return False
         if isinstance(order, TextureDescription):
             texture = texture_of(order.source, self._folder)
             prepared = realized(self._display, texture, order.seed, self._how)
             self.mixer.apply(KeepTexture(order.number, prepared))
-            return
-        with suppress(Exception):
-            self.mixer.apply(order)
+        else:
+            with suppress(Exception):  # playback answered it with the error, and played on
+                self.mixer.apply(order)
+        return True
 
 
 def render_session(
@@ -121,7 +123,8 @@ def render_session(
     Yields
     ------
     what : SessionBlock or SessionEvent
-        Block, or the event that records were lost, which is the last.
+        Block, or the last event if it is one after which nothing can be rendered, since records or
+        the order itself were lost.
     drive : DriveBlock or DriveFrame or None
         Drive of the block; None for an event.
 
@@ -144,11 +147,9 @@ def render_session(
         for what in part:
             if isinstance(what, SessionBlock):
                 yield what, player.mixer.render(what.rendered_from)
-            elif what.kind is Kind.ORDER:
-                player.execute(what.number)
             elif what.kind is Kind.SILENCE:
                 player.mixer.silence()
-            else:
+            elif what.kind is not Kind.ORDER or not player.execute(what.number):
                 yield what, None
                 return
         if progress is not None:
@@ -197,7 +198,8 @@ def _compare(
     digest, begun = 0, None
     for what, drive in render_session(folder, progress):
         if isinstance(what, SessionEvent):
-            result.lost_records = what.number
+            is_order = what.kind is Kind.ORDER
+            result.missing = f"order {what.number}" if is_order else f"{what.number} records"
             return
         assert drive is not None
         begun = what.rendered_from.now if begun is None else begun

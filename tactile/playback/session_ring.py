@@ -16,8 +16,10 @@ from tactile.playback.shared_memory import NUMBER, SharedFile
 
 RECORDS = 1 << 15
 """Length of the ring [records]: 40 s of 500 blocks and 250 contacts a second."""
-DUE_PLACES = 9
-"""Decimal places of the time at which a block is due [s]: 1 ns."""
+DUE_PLACES = 7
+"""Decimal places of the time at which a block is due [s]: 0.1 µs. A double as an integer of these
+steps and back is the same up to 2⁵¹ steps, 7 years after the host was started; steps of 1 ns would
+be so for 26 days."""
 RECORD = np.dtype(
     [("kind", "u1"), ("flag", "u1"), ("empty", "u2"), ("digest", "u4"), ("number", "i8"),
      ("values", "f8", 7)]
@@ -30,6 +32,8 @@ AT_RECORDS = 64
 """Offset of the ring [bytes]."""
 SIZE = AT_RECORDS + RECORDS * RECORD.itemsize
 """Size of the memory [bytes]."""
+_NOTHING = (0.0,) * 7
+"""Values of a record that has none."""
 
 
 class Kind(IntEnum):
@@ -43,7 +47,7 @@ class Kind(IntEnum):
 
 
 def next_digest(digest: int, drive: DriveBlock | DriveFrame) -> int:
-    """Return the digest of all blocks up to one, which any change of any of them changes.
+    """Return the digest of all blocks up to one, which almost any change of them changes.
 
     Parameters
     ----------
@@ -116,15 +120,13 @@ class SessionRing(SharedFile):
             What was rendered.
         """
         self._digest = next_digest(self._digest, drive)
-        for client, sample in block.contacts:
-            time, arrival, x, y, force, velocity = sample
+        rows: list[tuple[object, ...]] = []
+        for client, (time, arrival, x, y, force, velocity) in block.contacts:
             known = velocity is not None
-            self._add(
-                (Kind.CONTACT, known, 0, 0, client,
-                 (time, arrival, x, y, force, *(velocity or (0.0, 0.0))))
-            )  # fmt: skip
+            values = time, arrival, x, y, force, *(velocity or (0.0, 0.0))
+            rows.append((Kind.CONTACT, known, 0, 0, client, values))
         values = float(block.position), block.now, block.due, 0.0, 0.0, 0.0, 0.0
-        self._add((Kind.BLOCK, block.skipped, 0, self._digest, block.number, values))
+        self._add(*rows, (Kind.BLOCK, block.skipped, 0, self._digest, block.number, values))
 
     def add_order(self, number: int) -> None:
         """Add the execution of an order.
@@ -140,20 +142,21 @@ class SessionRing(SharedFile):
         """Add that all waves were dropped before playing began."""
         self._add((Kind.SILENCE, 0, 0, 0, 0, _NOTHING))
 
-    def _add(self, row: tuple[object, ...]) -> None:
-        """Add a record if there is room, after one about those that were lost."""
+    def _add(self, *rows: tuple[object, ...]) -> None:
+        """Add records if there is room for all, after one about those that were lost."""
         written = self._count(AT_WRITTEN)
         lost = self.lost
         missing = lost - self._lost_before
-        if written + 1 + (missing > 0) - self._count(AT_READ) > RECORDS:
-            NUMBER.pack_into(self._map, AT_LOST, lost + 1)
+        if written + len(rows) + (missing > 0) - self._count(AT_READ) > RECORDS:
+            NUMBER.pack_into(self._map, AT_LOST, lost + len(rows))
             return
         if missing:
             self._rows[written % RECORDS] = (Kind.LOST, 0, 0, 0, missing, _NOTHING)
             self._lost_before = lost
             written += 1
-        self._rows[written % RECORDS] = row
-        NUMBER.pack_into(self._map, AT_WRITTEN, written + 1)
+        for k, row in enumerate(rows, written):
+            self._rows[k % RECORDS] = row
+        NUMBER.pack_into(self._map, AT_WRITTEN, written + len(rows))
 
     # Recorder
 
@@ -169,6 +172,3 @@ class SessionRing(SharedFile):
         rows = self._rows[np.arange(read, written) % RECORDS]
         NUMBER.pack_into(self._map, AT_READ, written)
         return rows
-
-
-_NOTHING = (0.0,) * 7

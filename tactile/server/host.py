@@ -23,7 +23,7 @@ from tactile.server.effects import StoredEffect, load_effects
 from tactile.server.estop_desk import EstopDesk
 from tactile.server.playing import Playing
 from tactile.server.preparation_queue import PreparationQueue
-from tactile.server.session_recording import prepare_folder
+from tactile.server.session_recording import LEAVING, prepare_folder
 from tactile.server.tasks import start_task
 from tactile.texture import descriptor
 
@@ -180,6 +180,9 @@ class Host:
         for playing in self.playing.values():
             playing.close()
             playing.latch.close()
+        recorders = {task for playing in self.playing.values() for task in playing.session.endings}
+        if recorders:
+            await asyncio.wait(recorders, timeout=LEAVING)
         self.playing = {}
 
     async def reload(self) -> None:

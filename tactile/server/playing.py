@@ -301,7 +301,7 @@ class Playing:
             self._supervisor.cancel()
         if self.child is not None:
             await self.child.end(ENDING)
-        await self.session.end()
+        self.session.leave()
 
     def close(self) -> None:
         """Release the memory that was shared with the process, after its end."""

@@ -29,8 +29,12 @@ from tactile.server.tasks import start_task
 
 log = logging.getLogger("tactile.session")
 
-ENDING = 30.0
-"""Time that the recorder may take to write the last part, on a slow disk at low priority [s]."""
+ENDING = 60.0
+"""Time that the recorder of a session that has ended may take to write the last part [s], on a slow
+disk at low priority, while everything else goes on."""
+LEAVING = 3.0
+"""Time that the server waits for recorders when it ends [s], within ``TimeoutStopSec=5`` of its
+systemd unit. One that is not ready then writes what it has by itself, unless systemd kills it."""
 _KINDS = tuple(KINDS.values())
 
 
@@ -72,6 +76,11 @@ class SessionRecording:
         Texts of its files.
     record : RecordConfig
         Where sessions are recorded.
+
+    Attributes
+    ----------
+    endings : set of asyncio.Task
+        Recorders of sessions that have ended, which write the last part.
     """
 
     def __init__(
@@ -82,7 +91,7 @@ class SessionRecording:
         self._loop = asyncio.get_running_loop()
         self._ring: SessionRing | None = None
         self._child: Child | None = None
-        self._endings: set[asyncio.Task[None]] = set()
+        self.endings: set[asyncio.Task[None]] = set()
         self._written = self._lost = 0
 
     def renew(self) -> SessionRing | None:
@@ -93,8 +102,11 @@ class SessionRecording:
         SessionRing or None
             Ring that playback writes to; None if nothing is recorded.
         """
-        self._leave()
-        self._ring = SessionRing.create() if self._folder else None
+        self.leave()
+        try:
+            self._ring = SessionRing.create() if self._folder else None
+        except OSError as error:  # no memory or descriptor left
+            log.error("%s: nothing is recorded: %s", self._config.name, error)
         return self._ring
 
     def begin(self, how: DeviceOpened) -> None:
@@ -126,7 +138,7 @@ class SessionRecording:
             inherited = () if descriptor is None else (descriptor,)
             child = self._child = Child("tactile.playback.session_recorder", on_answer, inherited)
             child.send(SessionSetup(self._folder, self._ring.handle, header))
-        except (OSError, BusError) as error:  # no descriptor or memory left
+        except (OSError, RuntimeError, BusError) as error:  # no descriptor, thread or memory left
             log.error("%s: nothing is recorded: %s", config.name, error)
 
     def _receive(self, what: RecorderAnswer | None) -> None:
@@ -188,13 +200,8 @@ class SessionRecording:
             "lost_session_records_total": float(self._lost + (ring.lost if ring else 0)),
         }
 
-    async def end(self) -> None:
-        """Let the recorder write what it has, and end it."""
-        self._leave()
-        await asyncio.gather(*self._endings)
-
-    def _leave(self) -> None:
-        """Leave the present session to its end, after that of playback."""
+    def leave(self) -> None:
+        """Leave the present session to its end in the background, after that of playback."""
         ring, self._ring = self._ring, None
         if ring is not None:
             self._written += ring.written
@@ -211,4 +218,5 @@ class SessionRecording:
             if ring is not None:
                 ring.close()
 
-        start_task(end(), among=self._endings)
+        if child is not None or ring is not None:
+            start_task(end(), among=self.endings)

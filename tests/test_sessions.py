@@ -356,8 +356,8 @@ def test_times_are_read_as_they_were_rendered_however_long_the_host_runs(
     rng, drive = np.random.default_rng(0), DriveBlock(0, np.zeros((16, 2)))
     inputs = []
     with closing(SessionRing.create()) as ring:
-        for k, now in enumerate(86400 * days + np.cumsum(rng.uniform(0, 0.01, 3000))):
-            sample = rounded(FingerSample(now - 1e-3 * rng.random(), now, *rng.random(3)))
+        for k, now in enumerate((86400 * days + np.cumsum(rng.uniform(0, 0.01, 3000))).tolist()):
+            sample = rounded(FingerSample(now - 1e-3 * rng.random(), now, *rng.random(3).tolist()))
             due = round(now + 0.01, DUE_PLACES)
             inputs.append(BlockInput(k, 16 * k, False, round(now, 6), due, ((7, sample),)))
             ring.add_block(inputs[-1], drive)

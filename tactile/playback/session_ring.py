@@ -18,8 +18,8 @@ RECORDS = 1 << 15
 """Length of the ring [records]: 40 s of 500 blocks and 250 contacts a second."""
 DUE_PLACES = 7
 """Decimal places of the time at which a block is due [s]: 0.1 µs. A double as an integer of these
-steps and back is the same up to 2⁵¹ steps, 7 years after the host was started; steps of 1 ns would
-be so for 26 days."""
+steps and back is the same up to 2⁵¹ steps, 7 years after the host was started; with steps of 1 ns
+it is for 48 days."""
 RECORD = np.dtype(
     [("kind", "u1"), ("flag", "u1"), ("empty", "u2"), ("digest", "u4"), ("number", "i8"),
      ("values", "f8", 7)]

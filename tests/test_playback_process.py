@@ -4,9 +4,11 @@ The loop is turned by hand and time is passed in; the bus is the mock amplifier.
 """
 
 import pickle
+import queue
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from tactile.playback.loop import PlaybackLoop
 from tactile.playback.process import Program
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.waves import Curve
+from tactile.processes import ChildProcess, send
 
 RATE = 8000.0
 NAME = "left"
@@ -240,6 +243,22 @@ def test_an_order_that_fails_is_answered_and_the_loop_goes_on(
     assert "nobody expected that" in playing.order(DISARM).failure
     assert "ZeroDivisionError" in capfd.readouterr().err
     assert playing.play(0.05).any()
+
+
+@pytest.mark.ci
+def test_a_device_with_a_time_of_its_own_is_refused(display: Display) -> None:
+    """Check a device that was armed and silent, since its time stood still during waits."""
+    answers: queue.Queue[Any] = queue.Queue()
+    process = ChildProcess("tactile.playback.process", answers.put)
+    try:
+        setup = commands.PlaybackSetup(
+            display, "mock:?link=serial", False, None, False, 1.0, False, "", ""
+        )
+        send(process._pipe, setup)
+        opened = answers.get(timeout=120.0)
+    finally:
+        process.kill()
+    assert opened.why_not.startswith("mock:?link=serial: the modeled link has a time of its own")
 
 
 def test_a_watch_that_fails_ends_playback_and_with_it_what_plays(

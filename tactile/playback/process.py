@@ -22,8 +22,9 @@ from typing import BinaryIO
 
 from tactile.bus.base import Bus
 from tactile.bus.registry import with_default_option
+from tactile.bus.simulated.modeled_bus import ModeledBus
 from tactile.devices import open_bus
-from tactile.errors import BusStateError, TactileError
+from tactile.errors import BusError, BusStateError, TactileError
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback import priority
@@ -364,6 +365,11 @@ def main() -> None:
         sys.exit(1)
     try:
         bus, how = open_device(setup)
+        if isinstance(bus, ModeledBus):
+            raise BusError(
+                f"{setup.device}: the modeled link has a time of its own, in which a server cannot "
+                "play; use mock: or sim:, or play it with tactile play"
+            )
     except TactileError as error:
         send(outward, DeviceOpened(why_not=str(error)))
         sys.exit(1)

@@ -121,6 +121,19 @@ def test_what_is_no_effect_is_refused_in_a_line(text: str, said: str, command: C
     assert_mistake(command("play", "x.toml"), said)
 
 
+@pytest.mark.parametrize("suffix", ["h5", "npz"])
+def test_a_recorded_effect_is_replayed_from_the_recording_alone(
+    tap: Path, command: Command, suffix: str
+) -> None:
+    assert command("play", tap, "--gain", "0.7", "--record", f"tap.{suffix}").code == 0
+    tap.unlink()
+    again = command("replay", f"tap.{suffix}", "--json")
+    assert (again.code, again.err) == (0, "")
+    assert again.json["compared_samples"] == again.json["planned_samples"] > 100
+    waveform = tactile.load_recording(f"tap.{suffix}")["waveform_m"]
+    assert 1e-6 < np.abs(waveform).max() < 1e-5
+
+
 def test_an_effect_has_no_automatic_gain(tap: Path, command: Command) -> None:
     assert_mistake(
         command("play", tap, "--gain", "auto"), "gain auto cannot be used with the effect tap"

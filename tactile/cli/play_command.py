@@ -124,7 +124,6 @@ def run(
     allowed, factor = _percent(allow_loss), _gain(gain)
     loaded, display_source = load_display(display)
     what = _effect_request(loaded, effect, stroke) or _texture_request(texture, path, stroke)
-    sources = None if what.source is None else Sources(display_source, what.source)
     watched = sys.stdout.isatty() and not (quiet or as_json)
     live, watch = (
         _live(loaded, texture, sample_rate_hz or 8000.0) if watched else (nullcontext(), None)
@@ -133,7 +132,8 @@ def run(
         summary = runs.run(
             loaded, what.played, what.trajectory,
             device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
-            sources=sources, watch=watch, realtime=watched, accept_unsafe_hold=accept_unsafe_hold,
+            sources=Sources(display_source, what.source), watch=watch, realtime=watched,
+            accept_unsafe_hold=accept_unsafe_hold,
         )  # fmt: skip
     if as_json or not quiet:
         title = _title(summary.outcome, what.description)

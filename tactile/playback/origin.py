@@ -29,12 +29,14 @@ class Sources(msgspec.Struct, frozen=True):
 
     Attributes
     ----------
-    display, texture : SourceFile
-        Display file with its measured responses, and texture file.
+    display : SourceFile
+        Display file with its measured responses.
+    texture : SourceFile or None
+        Texture file; None for an effect, whose shear is the array ``waveform_m``.
     """
 
     display: SourceFile
-    texture: SourceFile
+    texture: SourceFile | None = None
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,7 +51,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     device : str
         URL of the device.
     gain : float
-        Factor on the texture's displacement.
+        Factor on the displacement of the texture or effect.
     seed : int
         Seed of the surface's realization.
     sample_rate_hz : float

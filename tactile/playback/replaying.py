@@ -123,9 +123,10 @@ def replay(path: str | Path) -> Replay:
         trajectory = Trajectory(*(recording[name] for name in PATH))
         with threadpool_limits(1):  # as when it was played
             display, renderer = _renderer(recording, sources)
+            waveform = _waveform(recording) if sources.texture is None else None
             planned = round(trajectory.duration * rate)
             result = Replay(str(path), planned, incomplete=recording.incomplete)
-            _compare(result, recording, display, renderer, trajectory)
+            _compare(result, recording, display, renderer, trajectory, waveform)
     except InputError as error:
         if str(error).startswith(str(path)):
             raise
@@ -138,11 +139,23 @@ def _renderer(recording: Recording, sources: Sources) -> tuple[Display, Renderer
     """Return the display of a recording, and a renderer as it was when the stroke began."""
     provenance = recording.provenance
     display = display_of(sources.display, recording.path)
-    texture = texture_of(sources.texture, recording.path)
-    if provenance.gain != 1:
+    texture = None
+    if sources.texture is not None:
+        texture = texture_of(sources.texture, recording.path)
+    if texture is not None and provenance.gain != 1:
         texture = amplified(texture, provenance.gain)
     rate = provenance.sample_rate_hz
     return display, Renderer(display, texture, sample_rate=rate, seed=provenance.seed)
+
+
+def _waveform(recording: Recording) -> Floats:
+    """Return the shear (S,) of the effect of a recording [m]."""
+    if "waveform_m" not in recording:
+        raise InputError("it holds neither a texture nor the array waveform_m")
+    waveform = recording["waveform_m"]
+    if waveform.ndim != 1 or not np.isfinite(waveform).all():
+        raise InputError("waveform_m is no list of finite numbers")
+    return waveform
 
 
 def _compare(
@@ -151,6 +164,7 @@ def _compare(
     display: Display,
     renderer: Renderer,
     trajectory: Trajectory,
+    waveform: Floats | None,
 ) -> None:
     """Render as many samples as were recorded, and compare them."""
     result.contactors = len(display.contactors)
@@ -160,7 +174,8 @@ def _compare(
             f"drive_v has the shape {recording.shape('drive_v')}; the stroke has "
             f"{result.planned_samples} samples of {result.contactors} contactors"
         )
-    drives = _drives(display, renderer, trajectory, recording.provenance.sample_rate_hz)
+    rate = recording.provenance.sample_rate_hz
+    drives = _drives(display, renderer, trajectory, rate, waveform)
     waiting = np.zeros((0, result.contactors))
     for recorded in recording.blocks("drive_v"):
         if not np.isfinite(recorded).all():
@@ -172,9 +187,13 @@ def _compare(
 
 
 def _drives(
-    display: Display, renderer: Renderer, trajectory: Trajectory, rate: float
+    display: Display,
+    renderer: Renderer,
+    trajectory: Trajectory,
+    rate: float,
+    waveform: Floats | None,
 ) -> Iterator[Floats]:
     """Yield the drive of a stroke, without the delay of the renderer."""
-    for _, played in rendered(display, renderer, trajectory, sample_rate=rate):
+    for _, played in rendered(display, renderer, trajectory, sample_rate=rate, waveform=waveform):
         if played is not None:
             yield played.drive

@@ -351,7 +351,7 @@ def run(
     record : str or Path, optional
         ``.h5``, ``.hdf5`` or ``.npz`` file to write, with drive_v, shear_target_m, time_s,
         position_mm, sample_rate_hz, contactors_mm, the path of the finger and, from a simulated
-        display, shear_played_m.
+        display, shear_played_m; for an effect waveform_m, the shear that was added.
     sources : Sources, optional
         Files that display and texture were loaded from, for the recording.
     watch : callable, optional
@@ -390,7 +390,9 @@ def run(
                     _play_frames(summary, display, surface, trajectory, bus, seed, record)
                 else:
                     renderer = Renderer(display, surface, sample_rate=rate, seed=seed)
-                    recorder = _recorder(summary, display, trajectory, seed, record, sources)
+                    recorder = _recorder(
+                        summary, display, trajectory, seed, record, sources, waveform
+                    )
                     account = _Run(
                         summary, bus, rate, renderer.delay, recorder, display, trajectory,
                         onset=ONSET if waveform is None else 0.0,
@@ -512,12 +514,15 @@ def _recorder(
     seed: int,
     record: str | Path | None,
     sources: Sources | None,
+    waveform: Floats | None,
 ) -> Recorder | None:
     """Return the recorder of a run, if one was requested."""
     if record is None:
         return None
+    effect = {} if waveform is None else {"waveform_m": waveform}
     recorder = Recorder(
         record,
+        **effect,
         sample_rate_hz=summary.sample_rate_hz,
         contactors_mm=display.contactors * 1e3,
         path_time_s=trajectory.time,

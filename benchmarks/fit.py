@@ -262,7 +262,38 @@ def _predicted(folder: Path) -> Iterator[Figure]:
                 label = f"fit.{name}.rendered_at_{FABRICS[key] * 1e3:g}_mm_s"
                 yield Figure(label, float(np.abs(row).mean()), "dB")
         yield from _errors(f"fit.fabrics.{way}.in_bands", error[inside], judged=way == "slower")
+        best = [least_error(*side, seen, unseen) for side in sides]
+        share = inside.sum(axis=(1, 2)) / inside.sum()
+        yield Figure(f"fit.fabrics.{way}.in_bands.best_law", float(share @ best), "dB")
         yield from _errors(f"fit.fabrics.{way}", error.ravel(), judged=way == "faster")
+
+
+def least_error(
+    error: Floats, inside: NDArray[np.bool_], seen: tuple[str, ...], unseen: tuple[str, ...]
+) -> float:
+    """Return the mean absolute error with the best law of speed, chosen in hindsight.
+
+    A law of speed with another exponent shifts all bands of a speed, by as much as that speed is
+    from the fitted ones.
+
+    Parameters
+    ----------
+    error, inside : (V, 14) array
+        As `rendered_errors` returns them.
+    seen, unseen : tuple of str
+        Names of the recordings that were fitted and of those that were compared.
+
+    Returns
+    -------
+    float
+        Smallest mean absolute error within the texture's bands that any exponent gives [dB].
+    """
+    fitted = np.mean([np.log10(FABRICS[key]) for key in seen])
+    shift = 20 * (np.log10([FABRICS[key] for key in unseen]) - fitted)[:, None]
+    return min(
+        float(np.abs(error + exponent * shift)[inside].mean())
+        for exponent in np.linspace(-2, 2, 801)
+    )
 
 
 def _errors(name: str, error: Floats, *, judged: bool) -> Iterator[Figure]:

@@ -60,14 +60,15 @@ def _measure() -> Iterator[Figure]:
         begun = time.perf_counter()
         result = replay_session(session)
         took = time.perf_counter() - begun
-    per_hour = size / result.compared_blocks * BLOCKS * 3600 / 1e6
+    per_hour = size / max(result.compared_blocks, 1) * BLOCKS * 3600 / 1e6
     alone, with_contact = _block_time(contacts=0), _block_time(contacts=1)
     in_playback = (BLOCKS - RATE) * alone + RATE * with_contact
     yield at_most("session.size", per_hour, "MB/h", 20)
     yield at_most("session.processor_time", spent / seconds + in_playback, "of a core", 0.03)
     yield Figure("session.processor_time_in_playback", in_playback, "of a core")
+    # Half of what is due: a machine that stands still disarms the display.
     yield at_least("session.compared_blocks", result.compared_blocks, "", BLOCKS * PARTS * PART / 2)
-    yield at_most("session.differing_or_lost_blocks", int(not result.is_identical), "", 0)
+    yield at_most("session.replays_that_differ", int(not result.is_identical), "", 0)
     yield Figure("session.replay_speed", result.duration_s / took, "× real time")
 
 

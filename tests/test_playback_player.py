@@ -132,7 +132,7 @@ def test_a_sliding_finger_feels_what_was_selected(stage: Stage, display: Display
 def test_the_place_is_that_of_the_time_at_which_a_block_is_put_out(stage: Stage) -> None:
     stage.slide(0.5)
     last = stage.player.position - 1
-    put_out = stage.bus.due(last + stage.player.rendering.lag)
+    put_out = stage.bus.due(last + stage.player.rendering.timed)
     assert stage.player.report.position[0] == pytest.approx(
         SPEED * (put_out - stage.origin), abs=2e-5
     )

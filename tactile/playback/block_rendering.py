@@ -34,10 +34,9 @@ class SamplePlayback:
     ----------
     spacing : int
         Length of a block [samples].
-    lag : int
-        Delay of the output behind the input that it is rendered from [samples].
     timed : int
-        Position in a block of the sample whose time `times` begins with [samples].
+        Position in a block of the sample whose time `times` begins with, since the output is behind
+        the input that it is rendered from [samples].
     first : int
         Position in a block of the first sample in which a new contact can be noticed [samples].
     shear : (N,) array of float
@@ -52,7 +51,7 @@ class SamplePlayback:
     def __init__(self, display: Display, sample_rate: float) -> None:
         self._display, self._rate = display, sample_rate
         self._renderer = Renderer(display, None, sample_rate=sample_rate)
-        self.lag = self.timed = self._renderer.delay
+        self.timed = self._renderer.delay
         self.shear = self.drive = np.zeros(len(display.contactors))
 
     def play(self, layers: Sequence[tuple[RealizedLayer | SpectrumRenderer, float]]) -> None:
@@ -154,8 +153,6 @@ class FramePlayback:
     ----------
     spacing : int
         Distance between frames [samples].
-    lag : int
-        Delay of the output behind the input that it is rendered from [samples].
     timed : int
         Position in a stretch of the sample whose time `times` ends with: that of the frame
         [samples].
@@ -169,7 +166,7 @@ class FramePlayback:
         Largest drive that the last frame can give [V].
     """
 
-    lag = first = 0
+    first = 0
 
     def __init__(self, display: Display, sample_rate: float, frames: FrameCapability) -> None:
         self._display, self._rate = display, sample_rate

@@ -37,8 +37,9 @@ LOOK = 0.5
 PART = 60.0
 """Longest duration of a part [s]; a kill of this process loses the one that is not written yet."""
 MOST_MESSAGES = 2000
-"""Maximum number of messages that wait to be collected, of 30 kB at most. The server counts what it
-cannot send while that many wait because a disk is slow."""
+"""Maximum number of messages that wait to be collected, of 30 kB at most but for effects that are
+played by name (2 MB for a minute). The server counts what it cannot send while that many wait
+because a disk is slow."""
 MOST_RECORDS = 8 * RECORDS
 """Number of records after which a part is written before its time: 19 MB."""
 MOST_TEXT = 8 << 20

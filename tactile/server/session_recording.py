@@ -1,7 +1,7 @@
 """Recording of what one display plays, as the server sees it: the ring and the recorder's process.
 
-Nothing waits for the recorder. If it ends or does not follow, playback goes on, and what is missing
-is counted.
+Nothing waits for the recorder but the end of the server, for `LEAVING`. If it ends or does not
+follow, playback goes on, and what is missing is counted.
 """
 
 import asyncio

@@ -19,6 +19,7 @@ from tactile.rendering.equalizer import (
     DELAYS,
     TAPS,
     Equalizer,
+    FollowingEqualizer,
     InverseFilter,
     attainable,
     design,
@@ -398,3 +399,66 @@ def test_shared_filters_play_what_each_kind_s_own_filter_would() -> None:
         device = Equalizer(own, kind=np.zeros(4, np.intp), polarity=np.ones(4), forces=(1.0,))
         expected = device(shear, force)[:, i] * POLARITY[i]
         np.testing.assert_allclose(volts[:, i], expected, atol=100 * rounding(MANY, shear))
+
+
+# Filters of their own
+
+
+def following_case(seed: int = 0) -> tuple[Floats, Floats, Singles]:
+    """Return two sets of filters (5, 32) and a shear (300, 5)."""
+    rng = np.random.default_rng(seed)
+    before, after = rng.standard_normal((2, 5, 32))
+    return before, after, rng.standard_normal((300, 5)).astype(np.float32)
+
+
+def by_column(taps: Floats, shear: Singles) -> Floats:
+    """Return each column convolved with its filter, which rests at the first sample before."""
+    line = np.concatenate([np.repeat(shear[:1], taps.shape[1] - 1, axis=0), shear])
+    columns = zip(line.T.astype(np.float64), taps, strict=True)
+    return np.array([np.convolve(x, h, "valid") for x, h in columns]).T
+
+
+def test_each_contactor_has_its_filter() -> None:
+    """Compare with convolutions in double precision."""
+    taps, _, shear = following_case()
+    volts = FollowingEqualizer(taps)(shear, np.zeros(300))
+    np.testing.assert_allclose(volts, by_column(taps, shear), atol=1e-4)
+
+
+@pytest.mark.parametrize("sizes", [(1, 7, 64, 3, 225), (100, 200), (150, 150)])
+def test_following_does_not_depend_on_blocks(sizes: tuple[int, ...]) -> None:
+    """Divide the stream within and beside a cross-fade."""
+    before, after, shear = following_case()
+    streams = []
+    for parts in ((300,), sizes):
+        follower = FollowingEqualizer(before)
+        follower.replace(after, 200)
+        ends = np.cumsum(parts)
+        pieces = [shear[end - size : end] for end, size in zip(ends, parts, strict=True)]
+        streams.append(np.concatenate([follower(piece, np.zeros(len(piece))) for piece in pieces]))
+    np.testing.assert_allclose(streams[1], streams[0], atol=2e-5)
+
+
+def test_cross_fade_leads_from_one_filter_to_the_other() -> None:
+    """Compare with the mixture of both convolutions, half a cosine long."""
+    before, after, shear = following_case()
+    follower = FollowingEqualizer(before)
+    follower.replace(after, 200)
+    share = (1 - np.cos(np.pi * np.minimum(np.arange(1, 301) / 200, 1))) / 2
+    mixed = (
+        by_column(before, shear) * (1 - share[:, None]) + by_column(after, shear) * share[:, None]
+    )
+    np.testing.assert_allclose(follower(shear, np.zeros(300)), mixed, atol=1e-4)
+
+
+def test_change_during_a_cross_fade_does_not_jump() -> None:
+    """Replace the filters in the middle of a cross-fade of constant shear."""
+    before, after, _ = following_case()
+    follower = FollowingEqualizer(before)
+    constant = np.ones((100, 5), np.float32)
+    follower.replace(after, 200)
+    first = follower(constant, np.zeros(100))
+    follower.replace(before, 200)
+    second = follower(constant, np.zeros(100))
+    largest = np.abs(after.sum(axis=1) - before.sum(axis=1)) * np.pi / 2 / 200
+    assert np.all(np.abs(second[0] - first[-1]) <= largest * 1.05)

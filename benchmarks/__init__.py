@@ -22,6 +22,7 @@ from benchmarks.library import measure_library
 from benchmarks.optimize import measure_optimize
 from benchmarks.protocol import measure_protocol
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
+from benchmarks.sensing import measure_sensing
 from benchmarks.session import measure_session
 from benchmarks.spectrum import measure_spectrum
 from benchmarks.startup import measure_startup
@@ -70,6 +71,7 @@ LONG: dict[str, Benchmark] = {
     "deaths-long": partial(deaths.measure_deaths, deaths.LONG),
     "estop-long": partial(estop.measure_estop, estop.LONG),
     "estop-play": estop.measure_estop_play,
+    "sensing": measure_sensing,
     "session": measure_session,
     "hour": partial(crowd.measure_crowd, crowd.SOAK),
     "crowd-long": partial(crowd.measure_crowd, crowd.LONG),

@@ -1,0 +1,199 @@
+"""Self-sensing: how well played shear follows the commanded one under fingers that are unknown."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from benchmarks.sensing_loop import (
+    DELAY,
+    RATE,
+    TAPS,
+    WINDOW,
+    Case,
+    Loop,
+    design,
+    draw_case,
+    references,
+    steady,
+    swinging,
+)
+from benchmarks.sensing_plant import Converter, Fingers, SensingPlant, Tolerances
+from tactile.actuator.finger import FingerLoad
+from tactile.arrays import Floats
+from tactile.bench.figures import Figure, at_least, at_most, seconds
+from tactile.rendering.equalizer import Equalizer, FollowingEqualizer, InverseFilter
+from tactile.sensing.baseline import Baseline
+from tactile.sensing.bender import Deviations
+from tactile.sensing.correlation import AFTER, LAGS, MARGIN
+from tactile.sensing.current_model import CurrentModel
+from tactile.sensing.estimator import LoadEstimator
+from tactile.sensing.excitation import TONES, VOLTS
+from tactile.sensing.inverse_mix import InverseMix
+from tactile.sensing.population import MEAN, Population
+from tactile.sensing.uncertainty import shear_deviation
+from tactile.texture.perception import detection_threshold
+
+FINGERS, CONTACTORS = 40, 24
+"""Numbers of random fingers, and of contactors under each."""
+SETTLED = 0.5
+"""Time from the first touch from which errors count [s]."""
+SECONDS = 2.0
+"""Duration of each stroke [s]."""
+ROUNDS = 50
+"""Number of repetitions of each timing."""
+
+
+def by_finger(errors: Floats, fingers: int) -> tuple[Floats, Floats]:
+    """Return median and 95th percentile of |error| of each finger, from errors (..., N, F) [dB]."""
+    size = np.abs(errors).reshape(-1, fingers, errors.shape[-2] // fingers, errors.shape[-1])
+    rows = np.moveaxis(size, 1, 0).reshape(fingers, -1)
+    return np.median(rows, axis=1), np.percentile(rows, 95, axis=1)
+
+
+def measure_sensing() -> Iterator[Figure]:
+    """Measure the equalizer that follows the finger, and what it costs."""
+    converter = Converter()
+    case = draw_case(FINGERS, CONTACTORS, converter, seed=7)
+    yield from _swinging(case, converter)
+    yield from _steady(case, converter)
+    yield from _rounding(converter)
+    yield _pilot(case)
+    yield _transient()
+    yield from _cost()
+
+
+def _swinging(case: Case, converter: Converter) -> Iterator[Figure]:
+    """Yield errors while the normal force swings between 0.2 and 2 N every 1.5 s."""
+    loop = Loop(case, converter, force=swinging(1.5), seconds=SECONDS)
+    settled, first, shares = [], np.zeros(0), []
+    others: dict[str, list[Floats]] = {}
+    for moment in loop.run():
+        if moment.time >= 0.2 and not first.size:
+            first = np.percentile(np.abs(moment.error), 95, keepdims=True)[0]
+        if moment.time < SETTLED:
+            continue
+        settled.append(moment.error.astype(np.float32))
+        for name, error in references(loop, moment.time).items():
+            others.setdefault(name, []).append(error.astype(np.float32))
+        if moment.estimate is not None:
+            own = shear_deviation(
+                case.baseline, moment.estimate.logarithms, moment.estimate.covariance
+            )
+            shares.append(np.mean(np.abs(moment.error).mean(axis=1) < 2 * own))
+    _, p95 = by_finger(np.array(settled), case.fingers)
+    name = "sensing, force 0.2–2 N every 1.5 s"
+    yield at_most(f"{name}: p95 of the median finger", float(np.median(p95)), "dB", 0.9)
+    yield at_least(f"{name}: fingers with p95 ≤ 1.5 dB", 100 * float(np.mean(p95 <= 1.5)), "%", 90)
+    yield Figure(f"{name}: p95 of the worst finger", float(p95.max()), "dB")
+    yield at_most(f"{name}: p95 at 0.2 s", float(np.max(first)), "dB", 3.0)
+    yield Figure(f"{name}: errors within two stated deviations", 100 * float(np.mean(shares)), "%")
+    for other, errors in others.items():
+        median, p95 = by_finger(np.array(errors), case.fingers)
+        yield Figure(f"{name}, {other}: median", float(np.median(median)), "dB")
+        yield Figure(f"{name}, {other}: p95", float(np.median(p95)), "dB")
+        yield Figure(f"{name}, {other}: p95 of the worst finger", float(p95.max()), "dB")
+
+
+def _steady(case: Case, converter: Converter) -> Iterator[Figure]:
+    """Yield errors under a steady normal force of 1 N."""
+    loop = Loop(case, converter, force=steady, seconds=SECONDS)
+    errors = np.array([m.error.astype(np.float32) for m in loop.run() if m.time >= SETTLED])
+    _, p95 = by_finger(errors, case.fingers)
+    yield at_most("sensing, 1 N: p95 of the median finger", float(np.median(p95)), "dB", 0.6)
+    yield Figure("sensing, 1 N: p95 of the worst finger", float(p95.max()), "dB")
+
+
+def _rounding(converter: Converter) -> Iterator[Figure]:
+    """Yield what 16 lag sums of 16 bits lose against sums in double precision."""
+    case = draw_case(8, 4, converter, seed=11)
+    medians = []
+    for rounded in (False, True):
+        loop = Loop(case, converter, force=swinging(1.5), seconds=1.5, rounded=rounded)
+        errors = np.array([m.error for m in loop.run() if m.time >= SETTLED])
+        medians.append(float(np.median(by_finger(errors, case.fingers)[1])))
+    yield at_most("sensing, loss by lag sums of 16 bits", medians[1] - medians[0], "dB", 0.05)
+
+
+def _pilot(case: Case) -> Figure:
+    """Return the level of the pilot re the threshold, at the contactor that moves most."""
+    plant = SensingPlant(Fingers(*np.exp(case.logarithms).T), case.tolerances, sample_rate=RATE)
+    tones, volts = np.array(TONES), np.array(VOLTS)
+    levels = []
+    for force in (0.05, 0.2, 1.0, 2.0):
+        shear = np.abs(plant.response(tones, np.full(len(case.logarithms), np.sqrt(force))))
+        power = (shear * volts / detection_threshold(tones)) ** 2
+        levels.append(10 * np.log10(power.sum(axis=1).max()))
+    return at_most("sensing, pilot of four tones re threshold", float(max(levels)), "dB", -20.0)
+
+
+def _as_designed() -> Baseline:
+    """Return the baseline of one contactor that is exactly as designed."""
+    one = np.ones(1)
+    return Baseline(
+        design(), Deviations(one, one, one), 0 * one, np.zeros((1, 7), np.complex128),
+        one, 0 * one,
+    )  # fmt: skip
+
+
+def _transient() -> Figure:
+    """Return the transient of a change from the low finger's filter to the high one's.
+
+    A sinusoid of 10 µm at 100 Hz plays under the mean finger; the transient is what its shear has
+    between 200 and 1000 Hz.
+    """
+    mix = InverseMix(_as_designed(), RATE, taps=TAPS, delay=DELAY)
+    low, high = (
+        mix.taps(np.log([[float(f.k0), float(f.d0), *map(float, f.branches[0])]]))
+        for f in (FingerLoad.low(), FingerLoad.high())
+    )
+    shear = 10e-6 * np.sin(2 * np.pi * 100 * np.arange(8000) / RATE).astype(np.float32)[:, None]
+    follower = FollowingEqualizer(low)
+    drive = [follower(shear[:4000], np.zeros(4000))]
+    follower.replace(high, WINDOW)
+    drive.append(follower(shear[4000:], np.zeros(4000)))
+    plant = SensingPlant(Fingers(*np.exp(MEAN)[:, None]), Tolerances.none(1), sample_rate=RATE)
+    moved, _ = plant.step(np.concatenate(drive).astype(np.float64))
+    band = butter(8, (200, 1000), "bandpass", fs=RATE, output="sos")
+    transient = np.abs(sosfiltfilt(band, moved[:, 0])[3000:6000]).max()
+    return at_most("sensing, transient of a change of filters", float(transient) * 1e6, "µm", 0.05)
+
+
+def _cost() -> Iterator[Figure]:
+    """Yield the times of an update, and of a block of 64 contactors with filters of their own."""
+    contactors = 64
+    case = draw_case(2, 32, Converter(), seed=3)
+    population = Population.assumed()
+    estimator = LoadEstimator(CurrentModel(case.baseline, population, RATE), population, noise=1e-6)
+    mix = InverseMix(case.baseline, RATE, taps=TAPS, delay=DELAY)
+    rng = np.random.default_rng(0)
+    steps = rng.standard_normal((contactors, AFTER + WINDOW + MARGIN))
+    sums = 1e-6 * rng.standard_normal((contactors, LAGS))
+
+    def update() -> None:
+        """Update all loads and mix their filters."""
+        estimator.update(sums, steps, WINDOW, resolution=np.zeros(contactors))
+        mix.taps(estimator.ahead(2.5))
+
+    for _ in range(10):  # beyond the first windows, which get more iterations
+        update()
+    yield at_most("sensing, update of 64 contactors", 1e3 * seconds(update, ROUNDS), "ms", 10.0)
+    taps = rng.standard_normal((contactors, TAPS))
+    shear = rng.standard_normal((64, contactors)).astype(np.float32)
+    force = np.full(64, 0.7)
+    following = FollowingEqualizer(taps)
+    own = seconds(lambda: following(shear, force), ROUNDS)
+    one = _fixed(taps[:1, None], (1.0,))
+    shared = seconds(lambda: one(shear, force), ROUNDS)
+    table = _fixed(taps[:3, None], (0.5, 1.0, 2.0))
+    tabled = seconds(lambda: table(shear, force), ROUNDS)
+    name = "equalizer, 64 samples of 64 contactors"
+    yield at_most(f"{name}: filters of their own", 1e6 * own, "µs", 1e6 * tabled)
+    yield Figure(f"{name}: one filter for all, a table of 3 forces", 1e6 * tabled, "µs")
+    yield Figure(f"{name}: one filter for all", 1e6 * shared, "µs")
+
+
+def _fixed(taps: Floats, forces: tuple[float, ...]) -> Equalizer:
+    """Return an equalizer that plays the same filter on 64 contactors."""
+    filter_ = InverseFilter(taps, np.ones((1, 1)), DELAY, 0.0)
+    return Equalizer(filter_, kind=np.zeros(64, np.intp), polarity=np.ones(64), forces=forces)

@@ -1,0 +1,291 @@
+"""Textures played through an equalizer that follows the finger, on the finite-element plant.
+
+Everything but plant, texture and clock is the product's own: the calibration in air, the pilot, the
+lag sums as the amplifier reports them, the estimator, and the equalizer whose filters it replaces.
+A window ends 25 ms before the filters that it leads to begin to fade in, which take 25 ms more: the
+report takes its time, and the host renders ahead of the amplifier.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+import tactile
+from benchmarks.sensing_plant import REACH, Converter, Fingers, SensingPlant, Tolerances
+from tactile.actuator.bimorph import Bimorph, capacitance
+from tactile.actuator.response import blocked_force
+from tactile.arrays import Complex, Floats
+from tactile.rendering.equalizer import FollowingEqualizer
+from tactile.sensing.baseline import Baseline, fit_baseline
+from tactile.sensing.bender import Bender, Deviations
+from tactile.sensing.correlation import AFTER, LAGS, MARGIN, lag_sums
+from tactile.sensing.current_model import CurrentModel
+from tactile.sensing.estimator import Estimate, LoadEstimator
+from tactile.sensing.excitation import (
+    PERIOD,
+    calibration_lines,
+    line_spectrum,
+    multisine,
+    pilot,
+    pilot_phases,
+)
+from tactile.sensing.inverse_mix import InverseMix
+from tactile.sensing.population import Population, load_stiffness
+
+RATE = 8000.0
+"""Sample rate [Hz]."""
+WINDOW = 200
+"""Length of a window of lag sums, and of the cross-fade to other filters [samples]."""
+TAPS, DELAY = 32, 8
+"""Length and delay of the equalizer's filters [samples]."""
+AHEAD = 2.5
+"""Time from the middle of a window to the end of the cross-fade that it leads to [windows]."""
+FREQUENCY = np.arange(10.0, 1001.0, 10.0)
+"""Frequencies at which played shear is compared with commanded shear [Hz]."""
+CODE = 100 / 32767
+"""Volts of a sample code at a full scale of 100 V."""
+PERIODS = 8
+"""Number of periods over which the calibration averages, after one in which the plant settles."""
+VARIED_SCALE, VARIED_SHAPE = 0.15, 0.10
+"""Standard deviations of the logarithms between contactors of one finger: of all constants in
+common, and of each besides (assumed)."""
+DECIBEL = 20 / np.log(10)
+"""Decibels per unit of natural logarithm."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Contactors of an array under several fingers, in the order finger by finger.
+
+    Attributes
+    ----------
+    fingers : int
+        Number of fingers.
+    baseline : Baseline
+        Baseline of each contactor, measured in air.
+    tolerances : Tolerances
+        Deviations of the contactors.
+    logarithms : (N, 4) array of float
+        Logarithms of the constants of the loads at 1 N.
+    """
+
+    fingers: int
+    baseline: Baseline
+    tolerances: Tolerances
+    logarithms: Floats
+
+
+def design() -> Bender:
+    """Return the default bender as `tactile.sensing` sees it."""
+    frequency = np.arange(0.0, 4001.0, 5.0)
+    force, stiffness = blocked_force(Bimorph(), frequency)
+    return Bender(frequency, force, stiffness, np.ones_like(force))
+
+
+def calibrate(
+    tolerances: Tolerances, converter: Converter, seed: int, periods: int = PERIODS
+) -> Baseline:
+    """Measure the baseline of contactors in air."""
+    bender, n = design(), len(tolerances.mass)
+    plant = SensingPlant(
+        Fingers(*np.ones((4, n))), tolerances, converter=converter, sample_rate=RATE, seed=seed
+    )
+    plant.scale[:] = 0
+    lines = calibration_lines(bender.resonance)
+    electrodes = Bimorph().length + Bimorph().clamped_length
+    farads = float(capacitance(Bimorph(), electrodes).real)
+    drive = multisine(lines, RATE, capacitance=farads, current=converter.range)
+    count = round(PERIOD * RATE)
+    repeated = np.tile(drive, periods + 2)[: count * (periods + 1) + plant.delay]
+    _, current = plant.step(np.repeat(repeated[:, None], n, axis=1))
+    measured = current[plant.delay + count :].reshape(periods, count, n)
+    spectrum = line_spectrum(measured.mean(axis=0), lines).T / line_spectrum(drive, lines)
+    return fit_baseline(lines, spectrum, bender)
+
+
+def draw_case(
+    fingers: int, contactors: int, converter: Converter, seed: int, periods: int = PERIODS
+) -> Case:
+    """Draw random contactors, calibrate them, and draw random fingers."""
+    rng = np.random.default_rng(seed)
+    tolerances = Tolerances.drawn(contactors, rng)
+    one = calibrate(tolerances, converter, seed + 1, periods)
+    population = Population.assumed()
+    common = rng.multivariate_normal(population.mean, population.covariance, fingers)
+    n = fingers * contactors
+    logarithms = np.repeat(common, contactors, axis=0)
+    logarithms = logarithms + VARIED_SCALE * rng.standard_normal((n, 1))
+    logarithms = logarithms + VARIED_SHAPE * rng.standard_normal((n, 4))
+
+    def tiled(values: Floats) -> Floats:
+        """Repeat what belongs to contactors for each finger."""
+        return np.concatenate([values] * fingers)
+
+    deviations, t = one.deviations, tolerances
+    baseline = Baseline(
+        one.bender,
+        Deviations(tiled(deviations.stiffness), tiled(deviations.coupling), tiled(deviations.loss)),
+        tiled(one.skew), np.concatenate([one.capacitance] * fingers), tiled(one.resonance),
+        tiled(one.residual),
+    )  # fmt: skip
+    tolerances = Tolerances(tiled(t.stiffness), tiled(t.coupling), tiled(t.mass), tiled(t.cable))
+    return Case(fingers, baseline, tolerances, logarithms)
+
+
+def swinging(period: float) -> Callable[[Floats], Floats]:
+    """Return a normal force [N] over time [s] that swings between 0.2 and 2 N."""
+    return lambda time: 0.2 * 10 ** ((1 - np.cos(2 * np.pi * time / period)) / 2)
+
+
+def steady(time: Floats) -> Floats:
+    """Return a normal force of 1 N at each time."""
+    return np.ones_like(time)
+
+
+def stroke_shear(texture: str, seconds: float, contactors: int) -> Floats:
+    """Return the commanded shear (S, contactors) of a stroke at 80 mm/s [m]."""
+    display = tactile.load_display("reference-24")
+    stroke = tactile.Trajectory.line(speed=0.08, duration=seconds + 0.5)
+    shear = tactile.render(display, tactile.load_texture(texture), stroke).shear
+    return np.asarray(shear[round(0.5 * RATE) :, np.arange(contactors) % 24])
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Filters that play at a moment.
+
+    Attributes
+    ----------
+    time : float
+        Time since the first touch [s].
+    error : (N, F) array of float
+        Level of the played shear re the commanded one at `FREQUENCY` [dB].
+    estimate : Estimate or None
+        Latest estimate; None before the first.
+    """
+
+    time: float
+    error: Floats
+    estimate: Estimate | None
+
+
+def level(taps: Floats, response: Complex) -> Floats:
+    """Compute the level [dB] at which filters (N, T) and a plant (N, F) play what is commanded."""
+    turns = np.exp(-2j * np.pi / RATE * np.outer(np.arange(taps.shape[1]) - DELAY, FREQUENCY))
+    return np.asarray(DECIBEL * np.log(np.abs(taps @ turns * response)))
+
+
+class Loop:
+    """A texture on many contactors, with an equalizer that follows each load.
+
+    Parameters
+    ----------
+    case : Case
+        Contactors and fingers.
+    converter : Converter
+        Converter of the current.
+    texture : str
+        Name of the texture.
+    force : function
+        Normal force [N] over time [s].
+    seconds : float
+        Duration.
+    rounded : bool
+        Whether the lag sums are rounded to 16 bits, as the amplifier sends them.
+    """
+
+    def __init__(
+        self,
+        case: Case,
+        converter: Converter,
+        *,
+        texture: str = "wood-oak",
+        force: Callable[[Floats], Floats] = steady,
+        seconds: float = 2.0,
+        rounded: bool = True,
+    ) -> None:
+        self.case, self._force, self._rounded = case, force, rounded
+        self._converter, n = converter, len(case.logarithms)
+        self.plant = SensingPlant(
+            Fingers(*np.exp(case.logarithms).T), case.tolerances,
+            converter=converter, sample_rate=RATE, seed=5,
+        )  # fmt: skip
+        population = Population.assumed()
+        model = CurrentModel(case.baseline, population, RATE)
+        noise = converter.step * float(np.hypot(converter.noise, 1 / np.sqrt(12)))
+        self.estimator = LoadEstimator(model, population, noise=noise)
+        self.mix = InverseMix(case.baseline, RATE, taps=TAPS, delay=DELAY)
+        self._shear = stroke_shear(texture, seconds, n // case.fingers).astype(np.float32)
+        self._phases = pilot_phases(n)
+        start = self.mix.taps(np.tile(population.mean, (n, 1)))
+        self._equalizer, self._taps, self._next = FollowingEqualizer(start), start, start
+        self._drive = np.zeros((AFTER + 1 + 2 * WINDOW, n))
+        self._current = np.zeros((2 * WINDOW, n))
+
+    def run(self) -> Iterator[Moment]:
+        """Play, and yield three moments of each window."""
+        estimate = None
+        for begin in range(0, len(self._shear) - WINDOW + 1, WINDOW):
+            before, self._taps = self._taps, self._next
+            self._equalizer.replace(self._taps, WINDOW)
+            self._play(begin)
+            for share in (0.2, 0.6, 1.0):
+                time = (begin + share * WINDOW) / RATE
+                scale = np.sqrt(self._force(np.full(len(before), time)))
+                response = self.plant.response(FREQUENCY, scale)
+                faded = (1 - np.cos(np.pi * share)) / 2
+                taps = before + faded * (self._taps - before)
+                yield Moment(time, level(taps, response), estimate)
+            if begin >= 2 * WINDOW:
+                estimate = self.estimator.update(*self._window(), WINDOW, resolution=self._steps)
+                self._next = self.mix.taps(self.estimator.ahead(AHEAD))
+
+    def _play(self, begin: int) -> None:
+        """Play the drive of a window."""
+        n = len(self._taps)
+        shear = np.tile(self._shear[begin : begin + WINDOW], (1, self.case.fingers))
+        drive = self._equalizer(shear, np.zeros(len(shear))).astype(np.float64)
+        drive += pilot(begin, len(shear), RATE, self._phases)
+        time = (begin + np.arange(len(shear)) - REACH) / RATE
+        scale = np.sqrt(self._force(np.maximum(time, 0)))
+        _, current = self.plant.step(drive, np.repeat(scale[:, None], n, axis=1))
+        self._drive = np.concatenate([self._drive, drive])[len(drive) :]
+        self._current = np.concatenate([self._current, current])[len(current) :]
+
+    def _window(self) -> tuple[Floats, Floats]:
+        """Return lag sums and steps of the window before the one that was played last."""
+        end, late = len(self._drive) - WINDOW, self.plant.delay
+        steps = np.diff(self._drive[end - WINDOW - AFTER - 1 : end + MARGIN], axis=0).T
+        current = self._current[late : late + WINDOW].T
+        sums = lag_sums(current, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
+        unit = self._converter.step * CODE
+        largest = np.abs(sums).max(axis=1) / (32767 * unit)
+        exponent = np.ceil(np.log2(np.maximum(largest, 1))) if self._rounded else 0 * largest
+        self._steps = unit * 2**exponent if self._rounded else np.zeros(len(sums))
+        if self._rounded:
+            sums = np.rint(sums / self._steps[:, None]) * self._steps[:, None]
+        return sums, steps
+
+
+def references(loop: Loop, time: float) -> dict[str, Floats]:
+    """Compute the errors (N, F) of filters that do not follow, at a time [dB].
+
+    They are the equalizer as shipped (the display's own bender and finger), filters for calibrated
+    benders under the mean of the population, and filters for the true load.
+    """
+    case = loop.case
+    scale = np.sqrt(loop._force(np.full(len(case.logarithms), time)))
+    response = loop.plant.response(FREQUENCY, scale)
+    mean = np.tile(Population.assumed().mean, (len(scale), 1))
+    true = case.logarithms + np.log(scale)[:, None]
+    nominal = tactile.load_display("reference-24").responses(FREQUENCY, RATE)[0, 0]
+    force, stiffness = case.baseline.tip(FREQUENCY)
+    return {
+        "as shipped": np.asarray(DECIBEL * np.log(np.abs(response / nominal))),
+        "population mean": level(loop.mix.taps(mean), response),
+        "known finger": np.asarray(
+            DECIBEL
+            * np.log(np.abs(response * (stiffness + load_stiffness(true, FREQUENCY)) / force))
+        ),
+    }

@@ -1,0 +1,78 @@
+"""Sums of the measured current times the delayed steps of the drive, and their prediction.
+
+In a window of samples n the amplifier forms r_l = Σ_n i[n] d[n − l] of the current i and the steps
+d[n] = u[n] − u[n − 1] of the drive that it played, for a few lags l. Whatever the current's
+response h to a step is, the sums are r = Gᵀ h with G[m, l] = Σ_n d[n − m] d[n − l], which the host
+computes from the drive that it knows. The edges of the windows are therefore exact.
+"""
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from tactile.arrays import Floats
+
+LAGS = 16
+"""Number of lags of the sums."""
+BEFORE = 12
+"""Number of samples before a step from which the current responds to it, since the drive between
+samples is band-limited."""
+AFTER = 240
+"""Number of samples for which the current responds to a step: 30 ms at 8 kHz."""
+MARGIN = BEFORE + LAGS - 1
+"""Number of steps after the window that the products need."""
+
+
+def lag_sums(current: Floats, steps: Floats) -> Floats:
+    """Compute the sums of a window.
+
+    Parameters
+    ----------
+    current : (N, S) array of float
+        Measured current [A].
+    steps : (N, LAGS − 1 + S) array of float
+        Steps of the drive, beginning ``LAGS − 1`` samples before the window [V].
+
+    Returns
+    -------
+    (N, LAGS) array of float
+        Σ_n i[n] d[n − l] for l = 0 … LAGS − 1 [A V].
+    """
+    delayed = sliding_window_view(steps, current.shape[1], axis=1)[:, ::-1]
+    return np.asarray(np.einsum("nls,ns->nl", delayed, current))
+
+
+def step_products(steps: Floats, samples: int) -> Floats:
+    """Compute the products G of the steps with their delayed selves.
+
+    Parameters
+    ----------
+    steps : (N, AFTER + S + MARGIN) array of float
+        Steps of the drive, from `AFTER` samples before the window to `MARGIN` after it [V].
+    samples : int
+        Length S of the window [samples].
+
+    Returns
+    -------
+    (N, BEFORE + AFTER + 1, LAGS) array of float
+        G[m, l] for m = −BEFORE … AFTER and l = 0 … LAGS − 1 [V²].
+    """
+    begin, end = AFTER, AFTER + samples
+    rows = [np.correlate(row, row[begin:end], "valid")[::-1] for row in steps]
+    column = np.array(rows)  # l = 0, m = −MARGIN … AFTER
+    reversed_ = steps[:, ::-1]
+    span = column.shape[1] - 1
+
+    def at(place: int) -> Floats:
+        """Return d[place − m] for all m but the last."""
+        first = steps.shape[1] - 1 - (place + MARGIN)
+        return reversed_[:, first : first + span]
+
+    products = np.empty((len(steps), BEFORE + AFTER + 1, LAGS))
+    products[..., 0] = column[:, LAGS - 1 :]
+    for lag in range(1, LAGS):
+        # G[m + 1, l + 1] = G[m, l] + d[begin − 1 − m] d[begin − 1 − l] − the same at the end
+        entered = at(begin - 1) * steps[:, begin - lag, None]
+        left = at(end - 1) * steps[:, end - lag, None]
+        column = np.concatenate([column[:, :1], column[:, :-1] + entered - left], axis=1)
+        products[..., lag] = column[:, LAGS - 1 :]
+    return products

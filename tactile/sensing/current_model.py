@@ -1,0 +1,97 @@
+"""The current that a contactor draws per step of the drive, for any load, as FIR filters."""
+
+import numpy as np
+
+from tactile.arrays import Complex, Floats
+from tactile.sensing.baseline import Baseline
+from tactile.sensing.correlation import AFTER, BEFORE
+from tactile.sensing.population import Population, load_stiffness, load_terms
+
+FITTED = np.unique(np.concatenate([np.geomspace(8, 40, 9), np.arange(40.0, 2601.0, 10.0)]))
+"""Frequencies at which the filters are fitted [Hz]. Drive has no parts above them."""
+GRID = np.geomspace(12, 2600, 90)
+"""Frequencies at which a load is compared with the shared filters [Hz]."""
+SHARED = 16
+"""Number of filters that all contactors share for the part of the current that depends on the
+load."""
+DRAWS = 400
+"""Number of loads from which the shared filters are made."""
+WIDER = 1.5
+"""Factor by which these loads spread more than the population."""
+DAMPING = 1e-5
+"""Weight of the filters' size in their fit, relative to their largest singular value."""
+
+
+def _fitted_taps(response: Complex, sample_rate: float) -> Floats:
+    """Return the taps (K, BEFORE + AFTER + 1) whose responses are nearest to (K, F) at `FITTED`."""
+    delay = np.arange(-BEFORE, AFTER + 1)
+    turns = np.exp(-2j * np.pi / sample_rate * np.outer(FITTED, delay))
+    left = np.concatenate([turns.real, turns.imag])
+    right = np.concatenate([response.real, response.imag], axis=1)
+    u, s, vt = np.linalg.svd(left, full_matrices=False)
+    return np.asarray((right @ u * (s / (s**2 + (DAMPING * s[0]) ** 2))) @ vt)
+
+
+def _stacked(response: Complex) -> Floats:
+    """Return real and imaginary parts side by side."""
+    return np.concatenate([response.real, response.imag], axis=-1)
+
+
+class CurrentModel:
+    """Current of N contactors per step of the drive.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        What the contactors draw in air.
+    population : Population
+        Fingers that are to be expected.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+
+    Attributes
+    ----------
+    electrical : (N, T) array of float
+        Response of the dielectric to a step of the drive, from `BEFORE` samples before it [A/V].
+    shared : (R, T) array of float
+        Filters that span the responses of the loaded tips [A/V].
+    """
+
+    def __init__(self, baseline: Baseline, population: Population, sample_rate: float) -> None:
+        rate = 2j * np.pi * FITTED / (1 - np.exp(-2j * np.pi * FITTED / sample_rate))
+        self.electrical = _fitted_taps(rate * baseline.charge(FITTED), sample_rate)
+        rng = np.random.default_rng(0)
+        loads = rng.multivariate_normal(population.mean, WIDER**2 * population.covariance, DRAWS)
+        force, stiffness = baseline.tip(FITTED)
+        drawn = rng.integers(len(force), size=DRAWS)
+        source = rate * force**2 * baseline.measuring(FITTED)
+        responses = source[drawn] / (stiffness[drawn] + load_stiffness(loads, FITTED))
+        _, _, span = np.linalg.svd(_stacked(responses), full_matrices=False)
+        shared = span[:SHARED, : len(FITTED)] + 1j * span[:SHARED, len(FITTED) :]
+        self.shared = _fitted_taps(shared, sample_rate)
+        at_grid = np.array([np.interp(GRID, FITTED, row) for row in shared])
+        self._weights = np.linalg.pinv(_stacked(at_grid))
+        rate = 2j * np.pi * GRID / (1 - np.exp(-2j * np.pi * GRID / sample_rate))
+        force, self._stiffness = baseline.tip(GRID)
+        self._source = rate * force**2 * baseline.measuring(GRID)
+
+    def weights(self, logarithms: Floats) -> tuple[Floats, Floats]:
+        """Compute the weights of the shared filters for loads, and their derivatives.
+
+        Parameters
+        ----------
+        logarithms : (N, 4) array of float
+            Logarithms of the constants of each contactor's load.
+
+        Returns
+        -------
+        weights : (N, R) array of float
+            Weights of `shared`.
+        derivatives : (N, 4, R) array of float
+            Derivatives to the logarithms.
+        """
+        terms = load_terms(logarithms, GRID)
+        compliance = 1 / (self._stiffness + terms.sum(axis=1))
+        response = self._source * compliance
+        slope = -(response * compliance)[:, None] * terms
+        return _stacked(response) @ self._weights, _stacked(slope) @ self._weights

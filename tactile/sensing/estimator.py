@@ -1,0 +1,235 @@
+"""Estimator of the load on each contactor, from the current that it draws while it plays.
+
+The state of a contactor is the logarithms of the four constants of its load and of a factor of its
+capacitance, which drifts with temperature. Each window of lag sums (`correlation`) updates it by
+the maximum a posteriori estimate, by Gauss–Newton iterations: the sums are turned and scaled
+such that the noise of the converter is white in them, and the errors of the model are taken as a
+part of the current in each direction. Each contactor is estimated by itself, since at a converter
+range of 2.5 mA a joint estimate gains hardly anything. They share only the rate at which their
+loads change, since they are under one finger.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.arrays import Floats
+from tactile.sensing.correlation import BEFORE, LAGS, step_products
+from tactile.sensing.current_model import CurrentModel
+from tactile.sensing.population import CONSTANTS, Population, spread
+
+STATES = CONSTANTS + 1
+"""Number of states of a contactor: four constants of the load, and the factor of its capacitance,
+all as logarithms."""
+CAPACITANCE_SPREAD = 0.002
+"""Standard deviation of ln of the capacitance against the baseline at the start (assumed: the
+baseline is as old as the last time that nothing touched the contactor)."""
+CAPACITANCE_DRIFT = 1e-4
+"""Standard deviation by which ln of the capacitance changes in a window (assumed)."""
+COMMON_DRIFT, OWN_DRIFT = 0.05, 0.01
+"""Standard deviations by which the load's logarithms change in a window: in common, since the
+normal force changes all constants, and besides. A force that swings between 0.2 and 2 N every 1.5 s
+changes the logarithms by at most 0.06 in 25 ms if the load grows with its square root."""
+FORGETTING = 0.003
+"""Part of the population's covariance that each window adds, and part of the posterior that it
+takes away."""
+MODEL_ERROR = 0.003
+"""Error of the model of the current, relative to it. Without it, errors of the baseline (0.1 % of
+the charge) count as information, and the estimate settles on a wrong finger."""
+FIRST_WINDOWS = 7
+"""Number of windows after a touch that get `FIRST_ITERATIONS`."""
+FIRST_ITERATIONS, ITERATIONS = 6, 2
+"""Numbers of iterations of a window."""
+LARGEST_STEP = 1.5
+"""Largest change of a state in an iteration."""
+FARTHEST = 3.0
+"""Distance from the population's mean to which a state is clamped, in standard deviations."""
+SMALLEST = 1e-9
+"""Smallest eigenvalue of the products of the steps that carries information, relative to the
+largest."""
+TINY = 1e-30
+"""Smallest eigenvalue at all, for a drive at rest [V²]."""
+SETTLING_WINDOWS = 3
+"""Number of windows after a touch whose changes say nothing about the rate of the load."""
+RATE_GAIN = 0.35
+"""Share of the latest change of the mean scale in its smoothed rate."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Loads of N contactors after a window.
+
+    Attributes
+    ----------
+    logarithms : (N, 4) array of float
+        Logarithms of k0 [N/m], d0 [N s/m], k1 [N/m] and d1 [N s/m].
+    covariance : (N, 4, 4) array of float
+        Their posterior covariance.
+    inconsistency : (N,) array of float
+        Mean square of the whitened residual, about 1 where the model explains the current.
+    """
+
+    logarithms: Floats
+    covariance: Floats
+    inconsistency: Floats
+
+
+class LoadEstimator:
+    """Follows the loads of N contactors from window to window.
+
+    Parameters
+    ----------
+    model : CurrentModel
+        Current that the contactors draw.
+    population : Population
+        Fingers that are to be expected.
+    noise : float
+        Standard deviation of a sample of the measured current [A].
+    """
+
+    def __init__(self, model: CurrentModel, population: Population, *, noise: float) -> None:
+        self._model, self._noise = model, noise
+        n = len(model.electrical)
+        self._mean = np.append(population.mean, 0.0)
+        self._prior = np.zeros((STATES, STATES))
+        self._prior[:CONSTANTS, :CONSTANTS] = population.covariance
+        self._prior[CONSTANTS, CONSTANTS] = CAPACITANCE_SPREAD**2
+        self._drift = np.zeros((STATES, STATES))
+        self._drift[:CONSTANTS, :CONSTANTS] = spread(COMMON_DRIFT, OWN_DRIFT)
+        self._drift[CONSTANTS, CONSTANTS] = CAPACITANCE_DRIFT**2
+        self._reach = FARTHEST * np.sqrt(np.diag(self._prior))
+        self._state = np.tile(self._mean, (n, 1))
+        self._covariance = np.tile(self._prior, (n, 1, 1))
+        self._windows, self._rate = np.zeros(n, np.intp), 0.0
+
+    def restart(self, contactors: NDArray[np.bool_]) -> None:
+        """Forget the finger on some contactors, for instance because they have been touched again.
+
+        What is known of their capacitance is kept.
+
+        Parameters
+        ----------
+        contactors : (N,) array of bool
+            Contactors to start again.
+        """
+        self._state[contactors, :CONSTANTS] = self._mean[:CONSTANTS]
+        kept = self._covariance[contactors, CONSTANTS, CONSTANTS]
+        self._covariance[contactors] = self._prior
+        self._covariance[contactors, CONSTANTS, CONSTANTS] = kept
+        self._windows[contactors] = 0
+
+    def update(self, sums: Floats, steps: Floats, samples: int, *, resolution: Floats) -> Estimate:
+        """Take the sums of a window.
+
+        Parameters
+        ----------
+        sums : (N, LAGS) array of float
+            Lag sums of the measured current [A V].
+        steps : (N, AFTER + S + MARGIN) array of float
+            Steps of the drive, from `AFTER` samples before the window to `MARGIN` after it [V].
+        samples : int
+            Length S of the window [samples].
+        resolution : (N,) array of float
+            Step to which the sums of each contactor were rounded [A V].
+
+        Returns
+        -------
+        Estimate
+            Loads at the middle of the window.
+        """
+        window = _Window.of(self._model, sums, steps, samples, self._noise, resolution)
+        before = self._state
+        expected = state = before.copy()
+        expected[:, :CONSTANTS] = self.ahead(1)
+        predicted = (1 - FORGETTING) * self._covariance + FORGETTING * self._prior + self._drift
+        information = np.linalg.inv(predicted)
+        rounds = FIRST_ITERATIONS if self._windows.min() < FIRST_WINDOWS else ITERATIONS
+        for left in reversed(range(rounds)):
+            residual, slope = window.residual(self._model, state)
+            inconsistency = np.mean(residual**2, axis=1)
+            weight = np.where(left < ITERATIONS, 1 / np.maximum(1, inconsistency), 1.0)
+            hessian = weight[:, None, None] * (slope.transpose(0, 2, 1) @ slope) + information
+            pull = weight[:, None] * np.einsum("njs,nj->ns", slope, residual)
+            pull += np.einsum("nst,nt->ns", information, expected - state)
+            move = np.linalg.solve(hessian, pull[..., None])[..., 0]
+            state = state + np.clip(move, -LARGEST_STEP, LARGEST_STEP)
+            state = self._mean + np.clip(state - self._mean, -self._reach, self._reach)
+        residual, _ = window.residual(self._model, state)
+        self._covariance, self._state = np.linalg.inv(hessian), state
+        settled = self._windows >= SETTLING_WINDOWS
+        if settled.any():
+            change = float(np.mean((state - before)[settled, :CONSTANTS]))
+            self._rate += RATE_GAIN * (change - self._rate)
+        self._windows += 1
+        return Estimate(
+            state[:, :CONSTANTS],
+            self._covariance[:, :CONSTANTS, :CONSTANTS],
+            np.mean(residual**2, axis=1),
+        )
+
+    def ahead(self, windows: float) -> Floats:
+        """Extrapolate the loads by the present rate of their common change.
+
+        Parameters
+        ----------
+        windows : float
+            Time from the middle of the last window [windows].
+
+        Returns
+        -------
+        (N, 4) array of float
+            Logarithms of the constants.
+        """
+        settled = (self._windows > SETTLING_WINDOWS)[:, None]
+        return np.asarray(self._state[:, :CONSTANTS] + windows * self._rate * settled)
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Sums of a window and their prediction, whitened.
+
+    ``measured`` (N, J), ``electrical`` (N, J) and ``shared`` (N, J, R) are the measured sums and
+    those of the model's filters.
+    """
+
+    measured: Floats
+    electrical: Floats
+    shared: Floats
+
+    @classmethod
+    def of(
+        cls,
+        model: CurrentModel,
+        sums: Floats,
+        steps: Floats,
+        samples: int,
+        noise: float,
+        resolution: Floats,
+    ) -> "_Window":
+        """Whiten a window: in each direction the noise and the model's error have variance 1."""
+        products = step_products(steps, samples)
+        gram = products[:, BEFORE : BEFORE + LAGS]
+        size, axes = np.linalg.eigh(gram)
+        size = np.maximum(size, SMALLEST * size[:, -1:] + TINY)
+        turned = axes.transpose(0, 2, 1) / np.sqrt(size)[..., None]
+        measured = np.einsum("njl,nl->nj", turned, sums)
+        rounding = resolution[:, None] ** 2 / (12 * size)
+        deviation = np.sqrt(noise**2 + (MODEL_ERROR * measured) ** 2 + rounding)
+        turned = turned / deviation[..., None]
+        through = turned @ products.transpose(0, 2, 1)
+        return cls(
+            measured / deviation,
+            np.einsum("njt,nt->nj", through, model.electrical),
+            through @ model.shared.T,
+        )
+
+    def residual(self, model: CurrentModel, state: Floats) -> tuple[Floats, Floats]:
+        """Return the whitened residual (N, J) and the prediction's derivatives (N, J, STATES)."""
+        weights, derivatives = model.weights(state[:, :CONSTANTS])
+        electrical = self.electrical * np.exp(state[:, CONSTANTS, None])
+        predicted = electrical + np.einsum("njr,nr->nj", self.shared, weights)
+        slope = np.concatenate(
+            [self.shared @ derivatives.transpose(0, 2, 1), electrical[..., None]], axis=2
+        )
+        return self.measured - predicted, slope

@@ -10,7 +10,11 @@ from scipy.signal import dlsim
 from tactile.actuator.bimorph import Bimorph, active_segment, transfer_matrix
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.plant import Plant
+from tactile.actuator.population import random_finger
 from tactile.actuator.response import tip_response
+from tactile.actuator.tolerances import Tolerances
+from tactile.actuator.touch import NormalForce, Touch
+from tactile.actuator.touched_plant import TouchedPlant
 from tactile.bench.figures import RATE, Figure, at_least, at_most, seconds
 
 
@@ -64,8 +68,24 @@ def measure_response() -> Iterator[Figure]:
     yield at_least("response.designs_points_per_second", 40 * 500 / taken, "1/s", 500_000)
 
 
+def _touched_plant() -> Iterator[Figure]:
+    """Time the plant under a finger whose force is steady, and swings from 0.2 to 2 N."""
+    drive = np.random.default_rng(0).standard_normal((8000, 24))
+    for name, force in (("steady", NormalForce()), ("swinging", NormalForce(low=0.2, high=2.0))):
+        plant = TouchedPlant(
+            Bimorph(),
+            Touch(load=random_finger(1, 24), force=force),
+            RATE,
+            contactors=24,
+            tolerances=Tolerances.drawn(24, 1),
+        )
+        plant.step(np.tile(drive, (2, 1)))  # a swing, so that all maps are there
+        rate = 1 / seconds(lambda plant=plant: plant.step(drive))  # type: ignore[misc]
+        yield at_least(f"touched_plant.24.{name}.times_real_time", rate, "×", 2)
+
+
 def measure_plant() -> Iterator[Figure]:
-    """Time the plant and scipy's simulation of the same system."""
+    """Time both plants, and scipy's simulation of the same system."""
     ours = Plant(Bimorph(), FingerLoad.low(), RATE, contactors=24)
     drive = np.random.default_rng(0).standard_normal((8000, 24))
     yield Figure("plant.24.times_real_time", 1 / seconds(lambda: ours.step(drive)), "×")
@@ -74,3 +94,4 @@ def measure_plant() -> Iterator[Figure]:
     one = drive[:, :1]
     taken = seconds(lambda: dlsim(theirs, one), 2)
     yield Figure("plant.1.times_real_time_of_scipy_dlsim", 1 / taken, "×")
+    yield from _touched_plant()

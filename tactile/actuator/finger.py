@@ -84,6 +84,28 @@ class FingerLoad:
         return cls(k0=4300.0, d0=0.55, branches=((5000.0, 2.0),))
 
     @classmethod
+    def mid(cls) -> "FingerLoad":
+        """Return a finger between both of the paper: the geometric mean of each constant (assumed).
+
+        Returns
+        -------
+        FingerLoad
+            Load with k0 = 2074 N/m, d0 = 0.246 N s/m and one branch.
+        """
+        low, high = cls.low(), cls.high()
+        (low_branch,), (high_branch,) = low.branches, high.branches
+        return cls(
+            k0=np.sqrt(low.k0 * high.k0),
+            d0=np.sqrt(low.d0 * high.d0),
+            branches=(
+                (
+                    np.sqrt(low_branch[0] * high_branch[0]),
+                    np.sqrt(low_branch[1] * high_branch[1]),
+                ),
+            ),
+        )
+
+    @classmethod
     def none(cls) -> "FingerLoad":
         """Return the load of a tip that moves in air.
 

@@ -242,7 +242,13 @@ def state_space(bimorph: Bimorph, load: FingerLoad, amplifier: Amplifier) -> Sta
     return StateSpace(A, B, np.concatenate([tip, np.zeros(size - n)]), C_i, D_i, R_i)
 
 
-def kernel(time: Floats, amplifier: Amplifier) -> Floats:
+def kernel(
+    time: Floats,
+    amplifier: Amplifier,
+    *,
+    half_width: int = HALF_WIDTH,
+    kaiser_beta: float = KAISER_BETA,
+) -> Floats:
     """Evaluate the interpolation kernel of the drive.
 
     Parameters
@@ -251,6 +257,10 @@ def kernel(time: Floats, amplifier: Amplifier) -> Floats:
         Time from the sample [samples].
     amplifier : Amplifier
         Amplifier, whose ``hold`` selects a zero-order hold or a windowed sinc.
+    half_width : int
+        Half width of the windowed sinc [samples].
+    kaiser_beta : float
+        Shape parameter β of its Kaiser window.
 
     Returns
     -------
@@ -259,8 +269,8 @@ def kernel(time: Floats, amplifier: Amplifier) -> Floats:
     """
     if amplifier.hold == "zoh":
         return np.asarray(((time >= 0) & (time < 1)).astype(np.float64))
-    inside = np.clip(1 - (time / HALF_WIDTH) ** 2, 0, None)
-    window = np.i0(KAISER_BETA * np.sqrt(inside)) / np.i0(KAISER_BETA) * (inside > 0)
+    inside = np.clip(1 - (time / half_width) ** 2, 0, None)
+    window = np.i0(kaiser_beta * np.sqrt(inside)) / np.i0(kaiser_beta) * (inside > 0)
     return np.asarray(np.sinc(time) * window)
 
 

@@ -1,19 +1,31 @@
 """Simulated display ``sim:``, a mock amplifier with a model of the actuators behind it.
 
-Unlike a real amplifier it knows how the skin is sheared. ``sim:`` simulates the display's own
-bimorph, amplifier and finger. ``sim:?plant=package.module:factory`` uses another plant:
-``factory(display, sample_rate)`` must return an object with ``delay`` and ``step`` like those of
-`Plant`.
+Unlike a real amplifier it knows how the skin is sheared, and which current flows into each
+contactor. ``sim:`` simulates the display's own bimorph, amplifier and finger. With an option about
+finger, force, tolerance or hysteresis, ``sim:?finger=mid&force=0.2:2&liftoff=1``, the load of each
+contactor changes while it plays (`TouchedPlant`). ``sim:?plant=package.module:factory`` uses
+another plant: ``factory(display, sample_rate)`` must return an object with ``delay`` and ``step``
+like those of `Plant`.
 """
 
 import importlib
 from collections import deque
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from firmware_protocol.messages import SampleFormat
 from tactile.actuator.actuator import PlantLike
+from tactile.actuator.finger import FingerLoad, FingerTable
+from tactile.actuator.hysteresis import Hysteresis
+from tactile.actuator.plant import Plant
+from tactile.actuator.population import random_finger
+from tactile.actuator.tolerances import Tolerances
+from tactile.actuator.touch import TRANSITION, NormalForce, Touch
+from tactile.actuator.touched_plant import LARGEST_FORCE, TouchedPlant
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
 from tactile.bus.options import FORMATS, Keep, Options, SampleFormatName
@@ -24,6 +36,20 @@ from tactile.errors import InputError
 
 JUDGED_BAND = (20.0, 1000.0)
 """Lowest and highest frequency at which the fidelity of played shear is measured [Hz]."""
+
+FINGERS = {
+    "low": FingerLoad.low,
+    "mid": FingerLoad.mid,
+    "high": FingerLoad.high,
+    "air": FingerLoad.none,
+}
+"""Loads by the values of the option ``finger``."""
+LEAST_FORCE = 1e-3
+"""Smallest normal force of a finger that touches [N]."""
+PERIOD = 1.5
+"""Period of a force that swings, unless it is given [s]."""
+LONGEST = 86400.0
+"""Latest time at which a finger lifts off or touches again [s]."""
 
 
 class SimOptions(Options, frozen=True, kw_only=True):
@@ -37,11 +63,68 @@ class SimOptions(Options, frozen=True, kw_only=True):
         Factory of a plant, as ``package.module:factory``; by default the display's own plant.
     format : str
         Format of the samples on the line to the amplifier.
+    finger : str or None
+        Finger at 1 N: ``low``, ``mid``, ``high``, ``random:SEED`` (each contactor differs) or
+        ``air``; by default that of the display.
+    force : str or None
+        Normal force in newtons, as ``1``, or as ``0.2:2`` if it swings between two; by default 1 N,
+        or the middle force of a finger table.
+    period : float or None
+        Period of a force that swings, 1.5 s by default [s].
+    liftoff : float or None
+        Time of played samples at which the finger lifts off [s]; by default never.
+    retouch : float or None
+        Time at which it touches again [s]; by default never.
+    tolerance : int or None
+        Seed of benders that differ; by default all are as designed.
+    hysteresis : float
+        Width of the ceramic's loop at the voltage limit, as a fraction of its swing; 0.12 to 0.15
+        is usual.
     """
 
     keep: Keep = "second"
     plant: str | None = None
     format: SampleFormatName = "pcm16"
+    finger: str | None = None
+    force: str | None = None
+    period: Annotated[float, Meta(ge=0.05, le=3600)] | None = None
+    liftoff: Annotated[float, Meta(ge=0, le=LONGEST)] | None = None
+    retouch: Annotated[float, Meta(ge=0, le=LONGEST)] | None = None
+    tolerance: Annotated[int, Meta(ge=0, le=2**31 - 1)] | None = None
+    hysteresis: Annotated[float, Meta(ge=0, le=0.3)] = 0.0
+
+    @property
+    def touched(self) -> bool:
+        """Whether an option wants fingers that change, or benders that differ."""
+        wanted = self.finger, self.force, self.period, self.liftoff, self.retouch, self.tolerance
+        return self.hysteresis > 0 or any(option is not None for option in wanted)
+
+
+class _Kept:
+    """Samples that wait to be taken, as many as `limit` at least."""
+
+    def __init__(self, channels: int, limit: float) -> None:
+        self.dropped = 0
+        self._limit = limit
+        self._none = np.zeros((0, channels))
+        self._blocks: deque[Floats] = deque()
+        self._count = 0
+
+    def add(self, block: Floats) -> None:
+        """Append a block, and drop the oldest ones that are not needed for the limit."""
+        self._blocks.append(block)
+        self._count += len(block)
+        while self._count - len(block) > self._limit:
+            dropped = len(self._blocks.popleft())
+            self._count -= dropped
+            self.dropped += dropped
+
+    def take(self) -> Floats:
+        """Return all samples, and keep none."""
+        taken = np.concatenate([self._none, *self._blocks])
+        self._blocks.clear()
+        self._count = 0
+        return taken
 
 
 class SimulatedDisplay(MockBus):
@@ -63,8 +146,6 @@ class SimulatedDisplay(MockBus):
 
     Attributes
     ----------
-    dropped_shear : int
-        Samples of shear that were not taken within a second; none are dropped if all are kept.
     peak_current : float
         Largest current into any contactor so far [A].
     """
@@ -83,10 +164,45 @@ class SimulatedDisplay(MockBus):
         self._display = display
         self._plant = default_plant(display, sample_rate) if plant is None else plant
         self._late = self._plant.delay
-        self._shear: deque[Floats] = deque()
-        self._shear_count = 0
-        self.dropped_shear = 0
+        self._shear = _Kept(len(display.contactors), self._kept)
+        self._currents = _Kept(len(display.contactors), sample_rate)
         self.peak_current = 0.0
+
+    @property
+    def dropped_shear(self) -> int:
+        """Samples of shear that were not taken within a second; none are if all are kept."""
+        return self._shear.dropped
+
+    @property
+    def touching(self) -> NDArray[np.bool_]:
+        """Whether a finger is on each contactor, array (N,); always so under a constant load.
+
+        Raises
+        ------
+        InputError
+            If the plant is not the display's own.
+        """
+        plant = self._plant
+        if isinstance(plant, TouchedPlant):
+            return plant.touching
+        return np.full(len(self._display.contactors), bool(np.any(np.asarray(self.finger.k0) > 0)))
+
+    @property
+    def finger(self) -> FingerLoad:
+        """Present load: of arrays (N,) over contactors, or of numbers if it is constant.
+
+        It is 16 samples ahead of the shear and the currents that were taken last.
+
+        Raises
+        ------
+        InputError
+            If the plant is not the display's own.
+        """
+        if isinstance(self._plant, TouchedPlant):
+            return self._plant.load
+        if isinstance(self._plant, Plant):
+            return self._display.load_at(_middle_force(self._display))
+        raise InputError("sim: the load of another plant is not known")
 
     def _put(self, volts: Floats) -> None:
         super()._put(volts)
@@ -99,12 +215,8 @@ class SimulatedDisplay(MockBus):
         skipped = min(self._late, len(shear))
         self._late -= skipped
         if len(shear) > skipped:
-            self._shear.append(shear[skipped:] * self._display.polarity)
-            self._shear_count += len(shear) - skipped
-        while self._shear_count - len(shear) > self._kept:
-            dropped = len(self._shear.popleft())
-            self._shear_count -= dropped
-            self.dropped_shear += dropped
+            self._shear.add(shear[skipped:] * self._display.polarity)
+            self._currents.add(current[skipped:])
 
     def take_shear(self) -> Floats:
         """Return the shear of the skin since the last call.
@@ -118,10 +230,19 @@ class SimulatedDisplay(MockBus):
         (S, N) array of float
             Shear displacement of the skin at each contactor [m].
         """
-        shear = np.concatenate([np.zeros((0, len(self._display.contactors))), *self._shear])
-        self._shear.clear()
-        self._shear_count = 0
-        return shear
+        return self._shear.take()
+
+    def take_currents(self) -> Floats:
+        """Return the currents since the last call, at most those of the last second.
+
+        As of `take_shear`, the first sample of the first call belongs to the first drive sample.
+
+        Returns
+        -------
+        (S, N) array of float
+            Current into each contactor [A].
+        """
+        return self._currents.take()
 
     def settle(self) -> None:
         """Run the plant on at 0 V until its output covers everything that was played."""
@@ -144,13 +265,112 @@ def default_plant(display: Display, sample_rate: float) -> PlantLike:
     PlantLike
         Simulation of all contactors.
     """
-    force = display.load_forces[len(display.load_forces) // 2]
     return display.actuator.plant(
-        display.load_at(force),
+        display.load_at(_middle_force(display)),
         sample_rate,
         contactors=len(display.contactors),
         amplifier=display.amplifier,
     )
+
+
+def _middle_force(display: Display) -> float:
+    """Return the middle force of a finger table, or 1 N [N]."""
+    return display.load_forces[len(display.load_forces) // 2]
+
+
+def changing_plant(display: Display, sample_rate: float, options: SimOptions) -> TouchedPlant:
+    """Create the plant of a display whose fingers change, as the options say.
+
+    Parameters
+    ----------
+    display : Display
+        Display to simulate, of bimorphs.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    options : SimOptions
+        Finger, force, tolerance and hysteresis.
+
+    Returns
+    -------
+    TouchedPlant
+        Simulation of all contactors.
+
+    Raises
+    ------
+    InputError
+        If an option has no such value or does not fit another, or if the actuators are not
+        bimorphs.
+    """
+    contactors = len(display.contactors)
+    force = _normal_force(options, display)
+    tolerances, hysteresis = None, None
+    if options.tolerance is not None:
+        tolerances = Tolerances.drawn(contactors, options.tolerance)
+    if options.hysteresis > 0:
+        hysteresis = Hysteresis(width=options.hysteresis, full_drive=display.limits.voltage)
+    return TouchedPlant(
+        display.bimorph,
+        Touch(load=_finger(options.finger, display), force=force),
+        sample_rate,
+        contactors=contactors,
+        amplifier=display.amplifier,
+        tolerances=tolerances,
+        hysteresis=hysteresis,
+    )
+
+
+def _finger(text: str | None, display: Display) -> FingerLoad | FingerTable:
+    """Return the finger that the option names, or the display's."""
+    if text is None:
+        return display.load
+    if text in FINGERS:
+        return FINGERS[text]()
+    kind, _, seed = text.partition(":")
+    if kind == "random" and seed.isascii() and seed.isdecimal():
+        return random_finger(int(seed), len(display.contactors))
+    raise InputError(f"sim: finger = {text!r}: must be {', '.join(FINGERS)} or random:SEED")
+
+
+def _normal_force(options: SimOptions, display: Display) -> NormalForce:
+    """Return the course of the force that the options describe."""
+    given = {"force": options.force, "liftoff": options.liftoff, "retouch": options.retouch}
+    if options.finger == "air":
+        for name, value in given.items():
+            if value is not None:
+                raise InputError(f"sim: {name}: a finger in air has none")
+        return NormalForce(low=0.0, high=0.0)
+    low = high = _middle_force(display) if options.finger is None else 1.0
+    if options.force is not None:
+        low, high = _newtons(options.force)
+    if options.period is not None and low == high:
+        raise InputError("sim: period: needs a force that swings, as in force=0.2:2")
+    liftoff = np.inf if options.liftoff is None else options.liftoff
+    retouch = np.inf if options.retouch is None else options.retouch
+    if retouch < np.inf and not retouch >= liftoff + TRANSITION:
+        raise InputError(
+            f"sim: retouch = {retouch:g} s: must be {1e3 * TRANSITION:g} ms after liftoff or later"
+        )
+    return NormalForce(
+        low=low, high=high, period=options.period or PERIOD, liftoff=liftoff, retouch=retouch
+    )
+
+
+def _newtons(text: str) -> tuple[float, float]:
+    """Return the ends of a force, which are alike if it does not swing."""
+    try:
+        ends = [float(part) for part in text.split(":")]
+    except ValueError:
+        ends = []
+    if not (
+        len(ends) in (1, 2)
+        and all(LEAST_FORCE <= end <= LARGEST_FORCE for end in ends)
+        and ends[0] <= ends[-1]
+    ):
+        raise InputError(
+            f"sim: force = {text!r}: must be newtons or low:high, {LEAST_FORCE:g} … "
+            f"{LARGEST_FORCE:g} N"
+        )
+    return ends[0], ends[-1]
 
 
 class Fidelity:
@@ -215,7 +435,13 @@ def _open(address: Address[SimOptions], display: DisplayLike, sample_rate: float
         raise InputError("sim: needs a Display, not only its wiring")
     sample_rate = sample_rate or RATE
     options = address.options
-    plant = None if options.plant is None else _load_plant(options.plant, display, sample_rate)
+    plant: PlantLike | None = None
+    if options.plant is not None:
+        if options.touched:
+            raise InputError("sim: plant: has a finger of its own, so that no other can be given")
+        plant = _load_plant(options.plant, display, sample_rate)
+    elif options.touched:
+        plant = changing_plant(display, sample_rate, options)
     return SimulatedDisplay(
         display, sample_rate,
         plant=plant, keep=options.keep, sample_format=FORMATS[options.format],

@@ -18,7 +18,7 @@ from benchmarks.sensing_loop import (
     steady,
     swinging,
 )
-from benchmarks.sensing_plant import Converter, Fingers, SensingPlant, Tolerances
+from benchmarks.sensing_plant import Converter, Fingers, PlantTolerances, SensingPlant
 from tactile.actuator.finger import FingerLoad
 from tactile.arrays import Floats
 from tactile.bench.figures import Figure, at_least, at_most, seconds
@@ -30,7 +30,7 @@ from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import LoadEstimator
 from tactile.sensing.excitation import TONES, VOLTS
 from tactile.sensing.inverse_mix import InverseMix
-from tactile.sensing.population import MEAN, Population
+from tactile.sensing.population import Population
 from tactile.sensing.uncertainty import shear_deviation
 from tactile.texture.perception import detection_threshold
 
@@ -152,7 +152,11 @@ def _transient() -> Figure:
     drive = [follower(shear[:4000], np.zeros(4000))]
     follower.replace(high, WINDOW)
     drive.append(follower(shear[4000:], np.zeros(4000)))
-    plant = SensingPlant(Fingers(*np.exp(MEAN)[:, None]), Tolerances.none(1), sample_rate=RATE)
+    plant = SensingPlant(
+        Fingers(*np.exp(Population.assumed().mean)[:, None]),
+        PlantTolerances.none(1),
+        sample_rate=RATE,
+    )
     moved, _ = plant.step(np.concatenate(drive).astype(np.float64))
     band = butter(8, (200, 1000), "bandpass", fs=RATE, output="sos")
     transient = np.abs(sosfiltfilt(band, moved[:, 0])[3000:6000]).max()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import tactile
-from benchmarks.sensing_plant import REACH, Converter, Fingers, SensingPlant, Tolerances
+from benchmarks.sensing_plant import REACH, Converter, Fingers, PlantTolerances, SensingPlant
 from tactile.actuator.bimorph import Bimorph, capacitance
 from tactile.actuator.response import blocked_force
 from tactile.arrays import Complex, Floats
@@ -64,7 +64,7 @@ class Case:
         Number of fingers.
     baseline : Baseline
         Baseline of each contactor, measured in air.
-    tolerances : Tolerances
+    tolerances : PlantTolerances
         Deviations of the contactors.
     logarithms : (N, 4) array of float
         Logarithms of the constants of the loads at 1 N.
@@ -72,7 +72,7 @@ class Case:
 
     fingers: int
     baseline: Baseline
-    tolerances: Tolerances
+    tolerances: PlantTolerances
     logarithms: Floats
 
 
@@ -84,7 +84,7 @@ def design() -> Bender:
 
 
 def calibrate(
-    tolerances: Tolerances, converter: Converter, seed: int, periods: int = PERIODS
+    tolerances: PlantTolerances, converter: Converter, seed: int, periods: int = PERIODS
 ) -> Baseline:
     """Measure the baseline of contactors in air."""
     bender, n = design(), len(tolerances.mass)
@@ -109,7 +109,7 @@ def draw_case(
 ) -> Case:
     """Draw random contactors, calibrate them, and draw random fingers."""
     rng = np.random.default_rng(seed)
-    tolerances = Tolerances.drawn(contactors, rng)
+    tolerances = PlantTolerances.drawn(contactors, rng)
     one = calibrate(tolerances, converter, seed + 1, periods)
     population = Population.assumed()
     common = rng.multivariate_normal(population.mean, population.covariance, fingers)
@@ -129,7 +129,9 @@ def draw_case(
         tiled(one.skew), np.concatenate([one.capacitance] * fingers), tiled(one.resonance),
         tiled(one.residual),
     )  # fmt: skip
-    tolerances = Tolerances(tiled(t.stiffness), tiled(t.coupling), tiled(t.mass), tiled(t.cable))
+    tolerances = PlantTolerances(
+        tiled(t.stiffness), tiled(t.coupling), tiled(t.mass), tiled(t.cable)
+    )
     return Case(fingers, baseline, tolerances, logarithms)
 
 

@@ -56,7 +56,7 @@ def reference_beam() -> ModuleType:
 
 
 @dataclass(frozen=True)
-class Tolerances:
+class PlantTolerances:
     """Deviations of N contactors from the design, as factors.
 
     Attributes
@@ -73,13 +73,13 @@ class Tolerances:
     cable: Floats
 
     @classmethod
-    def none(cls, contactors: int) -> "Tolerances":
+    def none(cls, contactors: int) -> "PlantTolerances":
         """Return the tolerances of contactors that are exactly as designed."""
         one = np.ones(contactors)
         return cls(one, one, one, 0 * one)
 
     @classmethod
-    def drawn(cls, contactors: int, rng: np.random.Generator) -> "Tolerances":
+    def drawn(cls, contactors: int, rng: np.random.Generator) -> "PlantTolerances":
         """Draw ±5 % of stiffness, ±10 % of d31, ±1 % of mass and 100 pF ± 20 % (assumed)."""
         return cls(
             1 + rng.uniform(-0.05, 0.05, contactors),
@@ -155,7 +155,7 @@ class _Tip:
     capacitance: Floats
 
 
-def _tip(beam: Any, tolerances: Tolerances) -> _Tip:
+def _tip(beam: Any, tolerances: PlantTolerances) -> _Tip:
     """Return the modes of a beam whose stiffness, coupling and mass have tolerances.
 
     A common factor of stiffness or density changes frequencies and scales, and no shapes.
@@ -242,7 +242,7 @@ class SensingPlant:
     ----------
     fingers : Fingers
         Loads of the N contactors.
-    tolerances : Tolerances
+    tolerances : PlantTolerances
         Deviations of the contactors.
     converter : Converter, optional
         Converter of the current.
@@ -264,7 +264,7 @@ class SensingPlant:
     def __init__(
         self,
         fingers: Fingers,
-        tolerances: Tolerances,
+        tolerances: PlantTolerances,
         *,
         converter: Converter | None = None,
         sample_rate: float = 8000.0,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.sensing_loop import RATE, design
-from benchmarks.sensing_plant import Fingers, SensingPlant, Tolerances
+from benchmarks.sensing_plant import Fingers, PlantTolerances, SensingPlant
 from tactile.arrays import Floats
 from tactile.sensing.baseline import Baseline, fit_baseline
 from tactile.sensing.excitation import calibration_lines
@@ -27,7 +27,7 @@ def random_loads(count: int, seed: int = 0) -> Floats:
 def tolerant_plant(logarithms: Floats, seed: int = 1) -> SensingPlant:
     """Return a plant of contactors with tolerances, under loads (N, 4)."""
     rng = np.random.default_rng(seed)
-    tolerances = Tolerances.drawn(len(logarithms), rng)
+    tolerances = PlantTolerances.drawn(len(logarithms), rng)
     return SensingPlant(fingers(logarithms), tolerances, sample_rate=RATE)
 
 

@@ -35,7 +35,7 @@ MAP: dict[str, set[str]] = {
     "display": {"actuator", "files"},
     "texture": {"files"},
     "rendering": {"display", "files", "texture"},
-    "sensing": {"rendering"},
+    "sensing": {"actuator", "rendering"},
     "tracking": {"rendering"},
     "strength": {"display", "rendering", "texture"},
     "bus": {"clock", "files", "processes"},

@@ -14,8 +14,8 @@ from benchmarks.sensing_plant import (
     RELAXATIONS,
     Converter,
     Fingers,
+    PlantTolerances,
     SensingPlant,
-    Tolerances,
     debye,
 )
 from tactile.arrays import Complex
@@ -33,7 +33,7 @@ def plant_under(load: Load) -> SensingPlant:
     """Return a plant of one contactor per frequency, as designed, under the same load."""
     k0, d0, ((k1, d1),) = load
     loads = Fingers(k0 * ALL, d0 * ALL, k1 * ALL, d1 * ALL)
-    return SensingPlant(loads, Tolerances.none(len(SINES)), converter=EXACT, sample_rate=RATE)
+    return SensingPlant(loads, PlantTolerances.none(len(SINES)), converter=EXACT, sample_rate=RATE)
 
 
 def departure(ratio: Complex) -> tuple[float, float]:
@@ -119,7 +119,7 @@ def test_converter_rounds_and_clips() -> None:
     """Drive a large step into a small range."""
     loads = Fingers(*np.ones((4, 1)))
     converter = Converter(range=1e-3, bits=12, noise=0.0)
-    plant = SensingPlant(loads, Tolerances.none(1), converter=converter, sample_rate=RATE)
+    plant = SensingPlant(loads, PlantTolerances.none(1), converter=converter, sample_rate=RATE)
     _, current = plant.step(np.repeat([[0.0], [90.0]], 100, axis=0))
     assert current.max() == converter.step * 2047
     np.testing.assert_allclose(current / converter.step, np.rint(current / converter.step))

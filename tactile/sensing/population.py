@@ -3,26 +3,19 @@
 A load is k(ω) = k0 + jω d0 + jω k1 d1/(k1 + jω d1). Its four constants are positive and spread over
 decades, so that the state of the estimator is their logarithms.
 
-The mean is the geometric mean of the two fingers of Hofmann & Twiefel 2014. The spread is assumed:
-no published measurement of tangential finger loads up to 1 kHz over many people was available. It
-covers the paper's two fingers at 0.2–2 N if the load grows with the square root of the normal
-force.
+Mean and spread are those of `actuator.population`, which names the assumptions.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from tactile.actuator.finger import FingerLoad
+from tactile.actuator.population import OWN_SIGMA, SCALE_SIGMA
 from tactile.arrays import Complex, Floats
 
 CONSTANTS = 4
 """Number of constants of a load: k0 [N/m], d0 [N s/m], k1 [N/m], d1 [N s/m]."""
-MEAN = np.log([2070.0, 0.246, 2550.0, 0.812])
-"""Logarithms of the geometric means of the paper's low and high finger."""
-COMMON = 0.76
-"""Standard deviation of the logarithm of a factor common to all four constants (assumed)."""
-OWN = 0.30
-"""Standard deviation of the logarithm of each constant besides (assumed)."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +35,17 @@ class Population:
 
     @classmethod
     def assumed(cls) -> "Population":
-        """Return the population of the module's docstring.
+        """Return the population that `actuator.population` draws fingers from.
 
         Returns
         -------
         Population
             Fingers around the geometric mean of the paper's two.
         """
-        return cls(MEAN, spread(COMMON, OWN))
+        mean = FingerLoad.mid()
+        ((k1, d1),) = mean.branches
+        constants = np.array([mean.k0, mean.d0, k1, d1], np.float64)
+        return cls(np.log(constants), spread(SCALE_SIGMA, OWN_SIGMA))
 
 
 def spread(common: float, own: float) -> Floats:

@@ -168,10 +168,17 @@ class ReferenceAmplifier(Machine):
         c = self.config
         return m.Caps(
             self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats,
-            Feature.ESTOP_INPUT if c.estop_input else 0, c.packet_limit, c.fifo, c.tick_hz,
+            self._features, c.packet_limit, c.fifo, c.tick_hz,
             c.rate_min_hz, c.rate_max_hz, c.full_scale_uv, c.voltage_limit_uv,
             c.slew_limit_v_per_s, c.fade_limit_us, c.firmware, c.name.encode(),
         )  # fmt: skip
+
+    @property
+    def _features(self) -> int:
+        """Bits of `Feature` that the amplifier has."""
+        senses = Feature.SENSES if self._sensor is not None else 0
+        correlates = Feature.CORRELATES if self._correlates else 0
+        return senses | correlates | (Feature.ESTOP_INPUT if self.config.estop_input else 0)
 
     def _time(self, time: m.Time) -> Reply:
         """Handle TIME."""
@@ -211,6 +218,7 @@ class ReferenceAmplifier(Machine):
         self._to(TABLE["start"][self.state])
         self._start_tick, self._start_position = tick, start.position
         self._player.start(self._source(), start.position)
+        self._correlator.start()
         return None
 
     def _stop(self, stop: m.Stop) -> Reply:
@@ -281,12 +289,30 @@ class ReferenceAmplifier(Machine):
             return Refusal(NakCode.PARAMETER, key)
         if key == Parameter.NODE and (self.state not in SETTLED_STATES or not self._addressed):
             return Refusal(NakCode.STATE, 0)
-        low, high = SETTING_RANGES[Parameter(key)]
-        if not low <= setting.value <= high:
+        if not self._allows(Parameter(key), setting.value):
             return Refusal(NakCode.RANGE, 2)
-        self._settings[Parameter(key)] = setting.value
-        self.node = self._settings[Parameter.NODE]
+        if self._settings[Parameter(key)] != setting.value:
+            self._change(Parameter(key), setting.value)
         return None
+
+    def _allows(self, key: Parameter, value: int) -> bool:
+        """Return whether a parameter may have a value."""
+        if key == Parameter.SENSE_RANGE_UA:
+            return value in self.config.sense_ranges_ua
+        low, high = SETTING_RANGES[key]
+        return low <= value <= high or (value == 0 and key in MAY_BE_OFF)
+
+    def _change(self, key: Parameter, value: int) -> None:
+        """Give a parameter another value; a window under way ends by some (16.2)."""
+        if key == Parameter.SENSE_MS and not self._settings[key]:
+            self._sensed = None
+        if key in (Parameter.CORRELATION_MS, Parameter.SENSE_RANGE_UA):
+            self._correlator.stop()
+        if key == Parameter.SENSE_RANGE_UA:
+            assert self._sensor is not None
+            self._sensor.choose(value)
+        self._settings[key] = value
+        self.node = self._settings[Parameter.NODE]
 
     def _identify(self, identify: m.Identify) -> Reply:
         """Handle IDENTIFY; there is no board to find."""
@@ -371,8 +397,12 @@ SETTING_RANGES = {
     Parameter.NODE: (1, 127),
     Parameter.PULSE_MS: (1, 100),
     Parameter.LOG_LEVEL: (0, 4),
+    Parameter.SENSE_MS: (10, 1000),
+    Parameter.CORRELATION_MS: (10, 100),
 }
-"""Smallest and largest value of each parameter that can be set."""
+"""Smallest and largest value of each parameter that can be set to any value between."""
+MAY_BE_OFF = (Parameter.SENSE_MS, Parameter.CORRELATION_MS)
+"""Parameters that may be 0 as well."""
 Handler = Callable[[ReferenceAmplifier, Any], Reply]
 """Function that handles a message and returns the reply."""
 HANDLERS: dict[type[Message], tuple[str, Handler]] = {

@@ -45,6 +45,9 @@ class AmplifierConfig:
         Node address at power-up.
     estop_input : bool
         Whether there is an e-stop input, which is mandatory above 60 V (6.3).
+    sense_ranges_ua : tuple of int
+        Ranges of the current that CORRELATION measures, that at power-up first [µA]; empty for an
+        amplifier that does not correlate.
     """
 
     channels: int = 24
@@ -63,6 +66,7 @@ class AmplifierConfig:
     name: str = "virtual"
     node: int = 1
     estop_input: bool = True
+    sense_ranges_ua: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol.config import AmplifierConfig, LimitsInForce
+from firmware_protocol.correlation import Correlator, Sensor, messages_of, window_samples
 from firmware_protocol.messages import (
     FADE_MS,
     INPUT_CLOSED_MS,
@@ -29,7 +30,7 @@ from firmware_protocol.messages import (
     Phase,
     State,
 )
-from firmware_protocol.packet import TURN, LinkCounters, Packet
+from firmware_protocol.packet import SMALLEST, TURN, LinkCounters, Packet
 from firmware_protocol.player import SamplePlayer
 from firmware_protocol.sources import Ints, PcmSource, Source, SpectrumSource
 
@@ -95,6 +96,8 @@ class Machine:
     ----------
     config : AmplifierConfig
         Properties of the amplifier.
+    sensor : Sensor or None
+        What measures voltages and currents; None for an amplifier that does not.
 
     Attributes
     ----------
@@ -120,7 +123,7 @@ class Machine:
         more than 60 V and has no e-stop input.
     """
 
-    def __init__(self, config: AmplifierConfig) -> None:
+    def __init__(self, config: AmplifierConfig, sensor: Sensor | None = None) -> None:
         self.config, self.node = config, config.node
         self.state, self.session, self.high_voltage = State.IDLE, 0, False
         self.counters = AmplifierCounters()
@@ -140,6 +143,7 @@ class Machine:
         self._after_ramp = State.IDLE
         self._settings = {Parameter.NODE: config.node, Parameter.PULSE_MS: 10,
                           Parameter.LOG_LEVEL: int(LogLevel.WARNING)}  # fmt: skip
+        self._attach(sensor)
         self._seq = 0
         self._sent: deque[Packet] = deque()
         self._played: list[PlayedRun] = []
@@ -157,6 +161,17 @@ class Machine:
                 f"{UNGUARDED_MOST_UV}, where an e-stop input is mandatory (SPEC.md, 6.3)"
             )
         self._limit(own)
+
+    def _attach(self, sensor: Sensor | None) -> None:
+        """Take the sensor, and the parameters that come with it."""
+        self._sensor, self._correlator = sensor, Correlator(self.config.channels)
+        self._sensed: int | None = None
+        self._last_position = 0
+        if sensor is not None:
+            self._settings[Parameter.SENSE_MS] = 0
+        if self._correlates:
+            self._settings[Parameter.CORRELATION_MS] = 0
+            self._settings[Parameter.SENSE_RANGE_UA] = self.config.sense_ranges_ua[0]
 
     # Output
 
@@ -245,13 +260,17 @@ class Machine:
         self._now = max(self._now, now)
 
     def _at_instant(self, tick: int) -> None:
-        """Do what precedes the sample at an instant: watchdog and PULSE."""
+        """Do what precedes the sample at an instant: watchdog, PULSE and SENSE."""
         watchdog = self._watchdog_due
         if watchdog is not None and tick >= watchdog:
             self._watchdog()
         if self.session and tick >= self._pulse_due:
             self._send_pulse()
             self._pulsed = tick
+        sense = self._sense_due
+        if sense is not None and tick >= sense:
+            self._send_senses()
+            self._sensed = tick
 
     def _watchdog(self) -> None:
         """Let the watchdog expire."""
@@ -269,7 +288,7 @@ class Machine:
         end = self._index(now + 1)
         first = self._instant + 1
         pulse = self._pulse_due if self.session else None
-        for tick in (self._watchdog_due, pulse, self._start_tick):
+        for tick in (self._watchdog_due, pulse, self._sense_due, self._start_tick):
             if tick is not None:
                 end = min(end, self._index(tick))
         return max(end - first, 1)
@@ -287,17 +306,33 @@ class Machine:
         since = self._pulsed
         return 0 if since is None else self._later(since, self._settings[Parameter.PULSE_MS])
 
+    @property
+    def _sense_due(self) -> int | None:
+        """Tick from which a SENSE is due, 0 for the first one; None for never."""
+        interval = self._settings.get(Parameter.SENSE_MS, 0)
+        if not interval:
+            return None
+        return 0 if self._sensed is None else self._later(self._sensed, interval)
+
+    @property
+    def _correlates(self) -> bool:
+        """Whether the amplifier has the feature CORRELATES."""
+        return self._sensor is not None and bool(self.config.sense_ranges_ua)
+
     def _put_out(self, count: int) -> None:
         """Put out up to ``count`` instants."""
         position, pending = self.position, self._start_tick is not None
-        player = self._player
+        player, first = self._player, self._player.position
         codes = player.advance(count, pending=pending)
+        self._last_position = first + (0 if pending else len(codes) - 1)
         ticks = (
             self._base
             + (self._instant + 1 + np.arange(len(codes))) * self.config.tick_hz // self.rate
         )
         self._instant += len(codes)
         self._count_played()
+        if self._sensor is not None:
+            self._measure(self._sensor, first, codes, in_window=not pending)
         if self.state == State.RAMPDOWN and not player.ramping:
             self._enter(self._after_ramp)
             self._send_pulse()
@@ -306,6 +341,18 @@ class Machine:
         self._played.append(
             PlayedRun(position, ticks, codes.astype(np.int16), self.state, self.high_voltage)
         )
+
+    def _measure(self, sensor: Sensor, position: int, codes: Ints, *, in_window: bool) -> None:
+        """Measure the currents of a run, and send the windows that it completes (section 16)."""
+        currents = sensor.measure(codes)
+        if not (self._correlates and in_window and self.state == State.RUNNING):
+            self._correlator.stop()
+            return
+        length = window_samples(self._settings[Parameter.CORRELATION_MS], self.rate)
+        range_ua = self._settings[Parameter.SENSE_RANGE_UA]
+        for window in self._correlator.add(position, codes, currents, length):
+            for message in messages_of(window, range_ua, self.config.packet_limit):
+                self._send(message)
 
     def _count_played(self) -> None:
         """Update the counters from those of the player."""
@@ -436,6 +483,15 @@ class Machine:
                 min(player.fill * 1000 // self.rate, 255),
             )
         )
+
+    def _send_senses(self) -> None:
+        """Send what was measured at the latest instant, in as few packets as possible."""
+        assert self._sensor is not None
+        pairs = np.stack(self._sensor.readings(), axis=1).astype("<i2")
+        most = (self.config.packet_limit - SMALLEST - m.Sense.HEAD.size) // 4
+        for first in range(0, len(pairs), most):
+            part = pairs[first : first + most]
+            self._send(m.Sense(self._last_position % TURN, first, len(part), part.tobytes()))
 
     def _log(self, level: int, text: str) -> None:
         """Send a LOG if there is a session and the level is high enough."""

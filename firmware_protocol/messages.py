@@ -9,8 +9,8 @@ from struct import Struct
 
 from firmware_protocol.layout import Message as Message
 
-MAJOR, MINOR = 1, 1
-SCHEMA_CRC = 0x1DCE5A8D
+MAJOR, MINOR = 1, 2
+SCHEMA_CRC = 0x8DD9777D
 STAYS, REFUSED = 0x40, 0x80
 WATCHDOG_MS = 150
 """Time without a heartbeat after which the watchdog expires [ms]."""
@@ -36,6 +36,12 @@ CARRIERS_MAX = 64
 """Largest number of carriers of a stream."""
 CAN_PREFIX = 0x1D0B0000
 """Number that is added to an 11-bit identifier to make the 29-bit one."""
+LAGS = 16
+"""Number of correlations of a channel in a window."""
+CORRELATED_MOST = 12
+"""Largest number of channels of a CORRELATION."""
+EXPONENT_MOST = 32
+"""Largest exponent of an entry of CORRELATION."""
 
 
 class Flag(IntEnum):
@@ -126,6 +132,8 @@ class Parameter(IntEnum):
     UPTIME_S = 5
     HIGH_VOLTAGE_MV = 6
     TEMPERATURE_MK = 7
+    CORRELATION_MS = 8
+    SENSE_RANGE_UA = 9
 
 
 class LogLevel(IntEnum):
@@ -144,6 +152,7 @@ class Feature(IntEnum):
     SENSES = 1
     ZERO_ORDER_HOLD = 2
     ESTOP_INPUT = 4
+    CORRELATES = 8
 
 
 class EstopReason(IntEnum):
@@ -156,6 +165,12 @@ class Input(IntEnum):
     """Bits of the inputs in STATUS (section 6.3)."""
 
     ESTOP_OPEN = 1
+
+
+class Window(IntEnum):
+    """Bits of the flags of an entry of CORRELATION (section 16.3)."""
+
+    CLIPPED = 1
 
 
 class CanClass(IntEnum):
@@ -588,6 +603,24 @@ class Log(Message):
     text: bytes = b""
 
 
+@dataclass(frozen=True, slots=True)
+class Correlation(Message):
+    """CORRELATION from the amplifier: currents of a window, correlated with what was played (section 4)."""
+
+    TYPE = 0x49
+    CAN = CanClass.BULK
+    HEAD = Struct("<IHHBBB")
+    BODY = True
+
+    position: int = 0
+    range_ua: int = 0
+    samples: int = 0
+    first_channel: int = 0
+    channels: int = 0
+    lags: int = 0
+    entries: bytes = b""
+
+
 MESSAGES: dict[int, type[Message]] = {
     0x01: Hello,
     0x02: Time,
@@ -616,5 +649,6 @@ MESSAGES: dict[int, type[Message]] = {
     0x46: Status,
     0x47: Sense,
     0x48: Log,
+    0x49: Correlation,
 }
 """Classes of the messages by their type."""

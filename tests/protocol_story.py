@@ -121,8 +121,8 @@ class Story:
         self.tell("POLL")
 
     def ask(self) -> None:
-        some, parameter = self.rng.randrange(256), self.some(0, 1, 2, 3, 4, 5, 6, 7, 99)
-        value = self.some(0, 1, 2, 5, 100, 101, 127, 128)
+        some, parameter = self.rng.randrange(256), self.some(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 99)
+        value = self.some(0, 1, 2, 5, 10, 100, 101, 127, 128)
         choice = self.rng.randrange(5)
         if choice == 0:
             self.tell("SET", self.session, parameter, value)
@@ -130,6 +130,15 @@ class Story:
             self.tell("GET", parameter)
         else:
             self.tell(("TIME", "SYNC", "IDENTIFY")[choice - 2], some, node=self.some(0, 1, 127))
+
+    def measure(self) -> None:
+        """Set what SENSE and CORRELATION need, to any value, or to that in force."""
+        choices = {
+            3: (0, 9, 10, 33, 1000, 1001), 8: (0, 1, 9, 10, 11, 25, 100, 101),
+            9: (0, 300, 2500, 2500, 20_000, 65_535, 65_836),
+        }  # fmt: skip
+        parameter = self.some(3, 8, 8, 9)
+        self.tell("SET", self.session, parameter, self.rng.choice(choices[parameter]))
 
     def ready(self) -> None:
         """Take the amplifier, arm it and start, on whatever the link makes of it."""
@@ -302,7 +311,7 @@ USUAL: Sequence[tuple[Callable[[Story], None], int]] = (
     (Story.foreign, 5), (Story.raw, 5), (Story.ask, 3), (Story.poll, 3), (Story.stop, 3),
     (Story.start, 2), (Story.arm, 2), (Story.limits, 2), (Story.disarm, 1), (Story.estop, 1),
     (Story.clear, 2), (Story.hello, 1), (Story.tune, 1), (Story.fault, 1), (Story.silence, 1),
-    (Story.button, 1),
+    (Story.button, 1), (Story.measure, 6),
 )  # fmt: skip
 """Events, and the relative frequency of each."""
 

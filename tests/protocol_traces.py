@@ -24,6 +24,8 @@ from firmware_protocol.messages import State
 from firmware_protocol.packet import decode_packet, encode_packet
 
 PACKET, RUN, FAULT, INPUT = 3, 4, 5, 9
+SHORT = 1_000_001
+"""Load of a channel that is shorted."""
 RECORD = Struct("<QBI")
 KINDS = {name: (kind, layout) for kind, (name, layout, _) in LAYOUTS.items()}
 RAMPING = (State.RUNNING, State.RAMPDOWN)
@@ -47,7 +49,77 @@ CONFIGS = {
         channels=4, tick_hz=999_983, rate_min_hz=1000, rate_max_hz=2000, fifo=128, carriers=1,
         formats=0b1010, packet_limit=136, fade_limit_us=0, slew_limit_v_per_s=6_000,
     ),
+    "measures": AmplifierConfig(
+        channels=5, rate_min_hz=1000, rate_max_hz=4000, fifo=260, carriers=2, packet_limit=140,
+        slew_limit_v_per_s=90_000, sense_ranges_ua=(2500, 300, 65535),
+    ),
 }  # fmt: skip
+
+
+LOADS_PF = (12_800, 0, 400_000, SHORT)
+"""Loads of the channels of an amplifier that measures; the last of all that follow."""
+
+
+class Loads:
+    """Capacitors behind an amplifier, measured as `virtual-amplifier --load-pf` does.
+
+    Parameters
+    ----------
+    config : configuration of the amplifier
+
+    Attributes
+    ----------
+    rate : sample rate [Hz]
+    """
+
+    def __init__(self, config: AmplifierConfig) -> None:
+        self.full_scale_uv, self.range_ua = config.full_scale_uv, config.sense_ranges_ua[0]
+        loads = [*LOADS_PF, *[LOADS_PF[-1]] * config.channels][: config.channels]
+        self.loads, self.rate = loads, 0
+        self.last = self.before = [0] * config.channels
+
+    def measure(self, codes: NDArray[np.int64]) -> NDArray[np.int64]:
+        rows = []
+        for row in codes.tolist():
+            self.before, self.last = self.last, row
+            rows.append([self._code(c) for c in range(len(row))])
+        return np.array(rows)
+
+    def readings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        pairs = [self._reading(c) for c in range(len(self.loads))]
+        volts, current = np.array(pairs).T
+        return volts, current
+
+    def choose(self, range_ua: int) -> None:
+        self.range_ua = range_ua
+
+    def _charging_fa(self, channel: int) -> int:
+        """Return C dv/dt [fA]; divisions truncate as in C."""
+        change = self.last[channel] - self.before[channel]
+        uv_per_s = toward_zero(change * self.full_scale_uv, 32767) * self.rate
+        return toward_zero(uv_per_s, 1000) * self.loads[channel]
+
+    def _code(self, channel: int) -> int:
+        if self.loads[channel] == SHORT:
+            return 32767 * sign(self.last[channel])
+        pa, full = toward_zero(self._charging_fa(channel), 1000), self.range_ua * 10**6
+        return 32767 * sign(pa) if abs(pa) > full else toward_zero(pa * 32767, full)
+
+    def _reading(self, channel: int) -> tuple[int, int]:
+        last, before = self.last[channel], self.before[channel]
+        if self.loads[channel] == SHORT:
+            return 0, 32767 * sign(last)
+        fa = self._charging_fa(channel)
+        ua = toward_zero(fa + (-500_000_000 if fa < 0 else 500_000_000), 10**9)
+        return toward_zero(last + before, 2), min(max(ua, -32767), 32767)
+
+
+def sign(value: int) -> int:
+    return (value > 0) - (value < 0)
+
+
+def toward_zero(value: int, divisor: int) -> int:
+    return sign(value) * (abs(value) // divisor)
 
 
 class Record(NamedTuple):
@@ -98,13 +170,20 @@ class Rig:
         self, config: AmplifierConfig, *, judged: bool = True, singly: bool = False
     ) -> None:
         self.config, self.singly, self.now = config, singly, 0
-        self.amplifier = ReferenceAmplifier(config)
+        self.loads = Loads(config) if config.sense_ranges_ua else None
+        self.amplifier = ReferenceAmplifier(config, self.loads)
+        self._take_rate()
         self.judge = Judge(config) if judged else None
         self.records: list[Record] = []
         self.sent: list[bytes] = []
         self.rows: list[NDArray[Any]] = []
         self._state, self._high_voltage = State.IDLE, False
         self._counters = astuple(self.amplifier.counters)
+
+    def _take_rate(self) -> None:
+        """Let the loads know the sample rate, which changes while nothing is put out only."""
+        if self.loads is not None:
+            self.loads.rate = self.amplifier.rate
 
     def run(self, now: int) -> None:
         """Let time pass up to a tick, in pieces so that packets sent never wait long."""
@@ -140,6 +219,7 @@ class Rig:
         beyond = self.judge.packet(self.now, data) if self.judge else True
         future = self.amplifier.counters.future_samples
         self.feed(data, self.now)
+        self._take_rate()
         assert beyond or self.amplifier.counters.future_samples == future
         self._take()
 
@@ -238,13 +318,19 @@ def replay(
 ) -> tuple[bytes, list[bytes]]:
     """Return what the amplifier in C puts out and sends on a trace; files go to a directory."""
     c = config
-    options = {
+    options: dict[str, int | str] = {
         "channels": c.channels, "carriers": c.carriers, "formats": c.formats, "node": c.node,
         "packet-limit": c.packet_limit, "fifo": c.fifo, "tick-hz": c.tick_hz,
         "rate-min": c.rate_min_hz, "rate-max": c.rate_max_hz, "full-scale-uv": c.full_scale_uv,
         "voltage-limit-uv": c.voltage_limit_uv, "slew-v-per-s": c.slew_limit_v_per_s,
         "fade-us": c.fade_limit_us,
     }  # fmt: skip
+    if c.sense_ranges_ua:
+        loads = ("short" if load == SHORT else str(load) for load in LOADS_PF)
+        options |= {
+            "sense-ranges-ua": ",".join(map(str, c.sense_ranges_ua)),
+            "load-pf": ",".join(loads),
+        }
     arguments = [str(a) for name, value in options.items() for a in (f"--{name}", value)]
     out, sent = at / "out", at / "sent"
     files = ["--out", str(out), "--sent", str(sent)]

@@ -13,7 +13,7 @@ from firmware_protocol.config import AmplifierConfig
 NAMES = list(CONFIGS)
 OWNER = 0x1234
 LOUD = b"\xff\x7f"
-NAK, UNASKED = 0x41, (0x45, 0x47, 0x48)
+NAK, UNASKED = 0x41, (0x45, 0x47, 0x48, 0x49)
 
 
 def loud(rig: Rig, rate: int) -> Rig:

@@ -154,15 +154,24 @@ def test_numbers_that_the_spec_gives_are_those_of_the_schema() -> None:
         (limits["FULL_SCALE_CODE"], r"integer −32767 … (\d+)"),
         (limits["CARRIERS_MAX"], r"\| carriers \| 0 \| (\d+) \|"),
         (1000 // limits["VALID_MS"], r"at most ⌊rate / (\d+)⌋"),
+        (limits["LAGS"], r"lags: (\d+)\. Per channel an entry"),
+        (limits["LAGS"] - 1, r"n = p … p \+ L − 1,  l = 0 … (\d+)"),
+        (limits["CORRELATED_MOST"], r"each with min\((\d+), ⌊\(packet_limit − 19\) / 36⌋"),
+        (limits["EXPONENT_MOST"], r"It is never above (\d+)"),
         (SCHEMA["protocol"]["major"], r"major version \((\d)\)"),
     ):
         found = re.search(text, SPEC)
         assert found, text
         assert number == int(found[1]), text
     assert f"0x{limits['CAN_PREFIX']:X} + the 11-bit" in SPEC
-    bit = re.search(r"bit (\d) `ESTOP_INPUT`", SPEC)
-    assert bit
-    assert 1 << int(bit[1]) == SCHEMA["enum"]["feature"]["ESTOP_INPUT"]
+    for kind, name in (
+        ("feature", "ESTOP_INPUT"),
+        ("feature", "CORRELATES"),
+        ("window", "CLIPPED"),
+    ):
+        bit = re.search(rf"bit (\d) `{name}`", SPEC)
+        assert bit, name
+        assert 1 << int(bit[1]) == SCHEMA["enum"][kind][name]
     assert SPEC.startswith(f"# The tactile amplifier protocol, version {MAJOR}.{MINOR}")
 
 

@@ -33,7 +33,8 @@ from vectors_rig import (
     whole,
 )
 
-from firmware_protocol import samples, spectrum
+from firmware_protocol import correlation, samples, spectrum
+from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import CanDecoder, CanEncoder
 from firmware_protocol.config import AmplifierConfig
@@ -262,6 +263,24 @@ def test_spectrum(vector: Vector) -> None:
         increments, still = np.array(v["increments"], np.uint32), np.zeros_like(i)
         code = spectrum.synthesize(i, q, still, still, increments, v["position"], 1)
         assert code[0, 0] == v["value"]
+
+
+@vectors("correlation")
+def test_correlation(vector: Vector) -> None:
+    correlator, column = correlation.Correlator(1), vector["before"]
+    before = np.array(column, np.int64).reshape(-1, 1)
+    codes = np.array(vector["codes"], np.int64).reshape(-1, 1)
+    currents = np.array(vector["currents"], np.int64).reshape(-1, 1)
+    correlator.add(0, before, np.zeros_like(before), 0)
+    (window,) = correlator.add(len(before), codes, currents, len(codes))
+    assert window == (len(before), len(codes), bytes.fromhex(vector["entry"]))
+    message = m.Correlation(0, 2500, len(codes), 0, 1, 16, window.entries)
+    entries = correlation.decode(message)
+    assert entries is not None
+    half = (1 << window.entries[1]) // 2
+    assert np.abs(entries.sums[0] - vector["sums"]).max() <= half
+    assert abs(entries.energy[0] - vector["energy"]) <= 1e-3 * vector["energy"]
+    assert entries.flags[0] == window.entries[0]
 
 
 def played(amplifier: ReferenceAmplifier) -> Instants:

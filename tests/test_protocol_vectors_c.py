@@ -267,6 +267,14 @@ def test_spectrum_in_c(vector: Vector, core: Core) -> None:
         assert core("value " + " ".join(map(str, numbers))) == str(v["value"])
 
 
+@vectors("correlation")
+def test_correlation_in_c(vector: Vector, core: Core) -> None:
+    pairs = zip(vector["codes"], vector["currents"], strict=True)
+    before, codes = vector["before"], [x for pair in pairs for x in pair]
+    numbers = [len(before), *before, len(vector["codes"]), *codes]
+    assert core("correlate " + " ".join(map(str, numbers))) == vector["entry"]
+
+
 def records(vector: Vector) -> bytes:
     out = bytearray()
     for step in vector["steps"]:

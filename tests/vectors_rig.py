@@ -12,7 +12,8 @@ from firmware_protocol.packet import Packet
 
 PROTOCOL = Path(__file__).parents[1] / "firmware_protocol"
 FILES = (
-    "messages", "packets", "serial", "can", "i2c", "samples", "spectrum", "behavior",
+    "messages", "packets", "serial", "can", "i2c", "samples", "spectrum", "correlation",
+    "behavior",
 )  # fmt: skip
 COUNTERS = (
     "packets", "crc_errors", "malformed", "oversized", "fragments_dropped", "unknown_type",

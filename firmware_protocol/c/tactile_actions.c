@@ -136,6 +136,7 @@ ta_verdict ta_act_start(ta_amplifier *amp, const ta_request *r)
     amp->start_position = m.position;
     amp->start_tick = m.time != 0 ? m.time : r->now + (uint64_t)m.delay_ms * tick_hz / 1000u;
     ta_player_start(&amp->player, m.position);
+    ta_correlation_start(amp);
     ta_apply(amp, ta_on_start[amp->state]);
     return ta_done();
 }

@@ -25,7 +25,8 @@ static bool limits_allowed(const ta_config *c)
 static bool allowed(const ta_config *c, const ta_hal *hal)
 {
     bool guarded = hal->estop_open != NULL || c->full_scale_uv <= TP_UNGUARDED_MOST_UV;
-    return guarded && c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
+    bool ranged = hal->currents == NULL || c->sense_range_ua > 0;
+    return guarded && ranged && c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
            c->carriers <= TA_CARRIERS && c->fifo_samples >= 2 && c->fifo_samples <= TA_FIFO &&
            c->packet_limit >= TA_PACKET_LEAST && c->packet_limit <= TA_PACKET_MAX &&
            c->tick_hz > 0 && c->rate_min_hz > 0 && c->rate_min_hz <= c->rate_max_hz &&
@@ -54,6 +55,8 @@ bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal)
     amp->next_node = config->node;
     amp->pulse_ms = POWER_UP_PULSE_MS;
     amp->log_level = TP_LOG_LEVEL_WARNING;
+    amp->sense_range_ua = config->sense_range_ua;
+    ta_correlation_start(amp);
     ta_player_init(&amp->player, &amp->counters, config->channels, config->fifo_samples);
     ta_set_rate(amp, power_up_rate(config), 0);
     ta_limit(amp, config->voltage_limit_uv, config->slew_limit_v_per_s, config->fade_limit_us);
@@ -194,6 +197,113 @@ static void send_senses(ta_amplifier *amp)
         send_sense(amp, (uint8_t)first, (uint8_t)count);
     }
 }
+
+/* Correlation, section 16 */
+
+#if TA_CORRELATES
+
+bool ta_correlates(const ta_amplifier *amp)
+{
+    return amp->hal.currents != NULL;
+}
+
+void ta_correlation_start(ta_amplifier *amp)
+{
+    ta_correlator_start(&amp->correlator, amp->config.channels);
+}
+
+void ta_correlation_stop(ta_amplifier *amp)
+{
+    ta_correlator_stop(&amp->correlator);
+}
+
+static void send_correlation(ta_amplifier *amp, uint8_t first, uint8_t count)
+{
+    uint8_t packet[TA_OVERHEAD + TA_CORRELATION_MAX];
+    uint8_t *entries = packet + TA_HEADER + TP_CORRELATION_SIZE;
+    tp_correlation m;
+    m.position = amp->correlator.position;
+    m.range_ua = amp->sense_range_ua;
+    m.samples = amp->correlator.samples;
+    m.first_channel = first;
+    m.channels = count;
+    m.lags = TP_LAGS;
+    m.entries = NULL;
+    m.entries_size = 0;
+    size_t size = tp_correlation_encode(&m, packet + TA_HEADER, TP_CORRELATION_SIZE);
+    for (size_t i = 0; i < count; i++) {
+        ta_correlator_entry(&amp->correlator, first + i, entries + TA_ENTRY * i);
+    }
+    ta_send(amp, TP_CORRELATION, packet, size + TA_ENTRY * count);
+}
+
+/* The window that is complete: all channels, in as few packets as possible. */
+static void send_correlations(ta_amplifier *amp)
+{
+    size_t room = (amp->config.packet_limit - TA_OVERHEAD - TP_CORRELATION_SIZE) / TA_ENTRY;
+    size_t most = room < TA_CORRELATED ? room : TA_CORRELATED;
+    size_t channels = amp->config.channels;
+    for (size_t first = 0; first < channels; first += most) {
+        size_t count = channels - first < most ? channels - first : most;
+        send_correlation(amp, (uint8_t)first, (uint8_t)count);
+    }
+}
+
+static uint16_t window_samples(const ta_amplifier *amp)
+{
+    uint64_t samples = (uint64_t)amp->correlation_ms * amp->player.rate / 1000u;
+    return (uint16_t)(samples < UINT16_MAX ? samples : UINT16_MAX);
+}
+
+/* After the sample at `position` was put out; `come` says that the tick of START has come. */
+static void correlate(ta_amplifier *amp, uint32_t position, bool come)
+{
+    ta_correlator *c = &amp->correlator;
+    int16_t currents[TA_CHANNELS];
+    if (!ta_correlates(amp)) {
+        return;
+    }
+    if (amp->state != TP_STATE_RUNNING || !come) {
+        ta_correlator_stop(c);
+        return;
+    }
+    ta_correlator_played(c, amp->player.codes);
+    if (c->left == 0 && amp->correlation_ms == 0) {
+        return;
+    }
+    ta_correlator_open(c, position, window_samples(amp));
+    amp->hal.currents(amp->hal.context, currents);
+    if (ta_correlator_add(c, currents)) {
+        send_correlations(amp);
+    }
+}
+
+#else
+
+bool ta_correlates(const ta_amplifier *amp)
+{
+    (void)amp;
+    return false;
+}
+
+void ta_correlation_start(ta_amplifier *amp)
+{
+    (void)amp;
+}
+
+void ta_correlation_stop(ta_amplifier *amp)
+{
+    (void)amp;
+}
+
+static void correlate(ta_amplifier *amp, uint32_t position, bool come)
+{
+    (void)amp;
+    (void)position;
+    (void)come;
+}
+
+#endif
 
 /* States, section 6 */
 
@@ -402,6 +512,7 @@ static void put_out(ta_amplifier *amp, uint64_t tick)
     ta_player_instant(p, amp->state, !amp->start_pending);
     amp->last_position = p->position;
     amp->hal.put_out(amp->hal.context, tick, p->position, p->codes);
+    correlate(amp, p->position, !amp->start_pending);
     ta_player_move(p, amp->start_pending);
 }
 

@@ -7,6 +7,7 @@
 #ifndef TACTILE_AMPLIFIER_H
 #define TACTILE_AMPLIFIER_H
 
+#include "tactile_correlator.h"
 #include "tactile_hal.h"
 #include "tactile_packet.h"
 #include "tactile_player.h"
@@ -20,6 +21,7 @@ typedef struct {
     uint16_t formats; /* bit f is set for sample format f */
     uint16_t packet_limit;
     uint16_t fifo_samples; /* at most TA_FIFO */
+    uint16_t sense_range_ua; /* of the current at power-up, not 0 where the HAL has `currents` */
     uint32_t tick_hz;
     uint32_t rate_min_hz;
     uint32_t rate_max_hz; /* at most 1 MHz */
@@ -82,9 +84,15 @@ typedef struct {
     uint8_t next_node; /* address from the packet after the answer on */
     uint32_t pulse_ms;
     uint32_t sense_ms;
+    uint32_t correlation_ms;
+    uint16_t sense_range_ua;
     uint32_t log_level;
     uint8_t sync_index;
     uint64_t sync_tick;
+
+#if TA_CORRELATES
+    ta_correlator correlator;
+#endif
 } ta_amplifier;
 
 /* Powers up at tick 0. Returns false for a configuration that the arrays have no room for, whose limits

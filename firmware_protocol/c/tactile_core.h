@@ -30,17 +30,24 @@
 #ifndef TA_TRANSFERS
 #define TA_TRANSFERS 4 /* transfers that are reassembled at a time; 4 by section 3.2 */
 #endif
+#ifndef TA_CORRELATES
+#define TA_CORRELATES 1 /* 0 leaves CORRELATION out, and its memory */
+#endif
 #ifndef TA_REPLIES
 #define TA_REPLIES 1024 /* bytes of packets that wait for an I2C host to read them */
 #endif
 
-/* A packet of the amplifier is at most a SENSE of all channels or a LOG of 200 bytes. */
+/* A packet of the amplifier is at most a SENSE of all channels, a LOG of 200 bytes or a CORRELATION. */
 #define TA_HEADER 4u
 #define TA_OVERHEAD 8u
 #define TA_LOG_MAX 200u
 #define TA_PACKET_LEAST 136 /* least packet_limit: STATUS has 132 bytes */
 #define TA_REPLY_BODY (4u * TA_CHANNELS > TA_LOG_MAX ? 4u * TA_CHANNELS : TA_LOG_MAX)
-#define TA_REPLY_MAX (TA_OVERHEAD + TP_SENSE_SIZE + TA_REPLY_BODY)
+#define TA_SENSE_MAX (TP_SENSE_SIZE + TA_REPLY_BODY)
+#define TA_ENTRY (4u + 2u * TP_LAGS) /* bytes of a channel in CORRELATION */
+#define TA_CORRELATED (TA_CHANNELS < TP_CORRELATED_MOST ? TA_CHANNELS : TP_CORRELATED_MOST)
+#define TA_CORRELATION_MAX (TA_CORRELATES * (TP_CORRELATION_SIZE + TA_CORRELATED * TA_ENTRY))
+#define TA_REPLY_MAX (TA_OVERHEAD + (TA_SENSE_MAX > TA_CORRELATION_MAX ? TA_SENSE_MAX : TA_CORRELATION_MAX))
 
 /* C99 has no _Static_assert: an array of negative size does not compile. */
 #define TA_ASSERT(name, condition) typedef char ta_assert_##name[(condition) ? 1 : -1]

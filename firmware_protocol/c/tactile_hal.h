@@ -46,6 +46,16 @@ typedef struct {
      * this is not NULL. */
     void (*sense)(void *context, uint8_t channel, int16_t *voltage, int16_t *current_ua);
 
+    /* Gives the current codes of all channels at the instant that put_out was last called for (16.1); it
+     * is called directly after it, at each instant of a window. A code of 32767 stands for the range of
+     * the ADC, and 32767 or -32767 says that it was at an end of it. Sample the currents by the clock that
+     * puts out the codes, and wait here for the conversion. CAPS has the feature if this is not NULL. */
+    void (*currents)(void *context, int16_t *codes);
+
+    /* Switches the range of the current; returns false for one that the board does not have. NULL stands
+     * for a board that has the range of its configuration only. */
+    bool (*sense_range)(void *context, uint16_t range_ua);
+
     /* Measure the supply or the temperature. They return false if it is not measured. */
     bool (*supply_mv)(void *context, uint32_t *value);
     bool (*temperature_mk)(void *context, uint32_t *value);

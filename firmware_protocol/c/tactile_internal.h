@@ -26,6 +26,11 @@ void ta_announce(ta_amplifier *amp);
 /* Returns whether the e-stop input counts as open (6.3). */
 bool ta_input_open(const ta_amplifier *amp, uint64_t now);
 
+/* CORRELATION (16): whether the board has it, START, and the end of the window under way. */
+bool ta_correlates(const ta_amplifier *amp);
+void ta_correlation_start(ta_amplifier *amp);
+void ta_correlation_stop(ta_amplifier *amp);
+
 /* Returns the phase that the host is told, which is STILL except in RUNNING. */
 uint8_t ta_phase(const ta_amplifier *amp);
 

@@ -160,6 +160,7 @@ bool ta_can_send(ta_can *link, const uint8_t *packet, size_t size)
         return can_write(link, TP_CAN_CLASS_PULSE, &frame, TP_PULSE_SIZE);
     case TP_SENSE:
     case TP_LOG:
+    case TP_CORRELATION:
         return can_transfer(link, TP_CAN_CLASS_BULK, packet, size);
     default:
         return can_transfer(link, TP_CAN_CLASS_RESPONSE, packet, size);

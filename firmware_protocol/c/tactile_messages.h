@@ -14,8 +14,8 @@
 #include <string.h>
 
 #define TP_MAJOR 1u
-#define TP_MINOR 1u
-#define TP_SCHEMA_CRC 0x1DCE5A8Du
+#define TP_MINOR 2u
+#define TP_SCHEMA_CRC 0x8DD9777Du
 #define TP_TABLE_STAYS 0x40u
 #define TP_TABLE_REFUSED 0x80u
 #define TP_WATCHDOG_MS 150u
@@ -30,6 +30,9 @@
 #define TP_FULL_SCALE_CODE 32767u
 #define TP_CARRIERS_MAX 64u
 #define TP_CAN_PREFIX 0x1D0B0000u
+#define TP_LAGS 16u
+#define TP_CORRELATED_MOST 12u
+#define TP_EXPONENT_MOST 32u
 
 enum {
     TP_FLAG_ACK_REQUEST = 32,
@@ -102,7 +105,9 @@ enum {
     TP_PARAMETER_LOG_LEVEL = 4,
     TP_PARAMETER_UPTIME_S = 5,
     TP_PARAMETER_HIGH_VOLTAGE_MV = 6,
-    TP_PARAMETER_TEMPERATURE_MK = 7
+    TP_PARAMETER_TEMPERATURE_MK = 7,
+    TP_PARAMETER_CORRELATION_MS = 8,
+    TP_PARAMETER_SENSE_RANGE_UA = 9
 };
 
 enum {
@@ -116,7 +121,8 @@ enum {
 enum {
     TP_FEATURE_SENSES = 1,
     TP_FEATURE_ZERO_ORDER_HOLD = 2,
-    TP_FEATURE_ESTOP_INPUT = 4
+    TP_FEATURE_ESTOP_INPUT = 4,
+    TP_FEATURE_CORRELATES = 8
 };
 
 enum {
@@ -125,6 +131,10 @@ enum {
 
 enum {
     TP_INPUT_ESTOP_OPEN = 1
+};
+
+enum {
+    TP_WINDOW_CLIPPED = 1
 };
 
 enum {
@@ -1062,6 +1072,52 @@ static inline bool tp_log_decode(tp_log *m, const uint8_t *in, size_t length)
     m->level = (uint8_t)tp_get_le(in, length, 0, 1);
     m->text = in + 1;
     m->text_size = length - 1;
+    return true;
+}
+
+#define TP_CORRELATION 0x49u
+#define TP_CORRELATION_SIZE 11u
+typedef struct {
+    uint32_t position;
+    uint16_t range_ua;
+    uint16_t samples;
+    uint8_t first_channel;
+    uint8_t channels;
+    uint8_t lags;
+    const uint8_t *entries;
+    size_t entries_size;
+} tp_correlation;
+
+static inline size_t tp_correlation_encode(const tp_correlation *m, uint8_t *out, size_t room)
+{
+    if (room < TP_CORRELATION_SIZE || room - TP_CORRELATION_SIZE < m->entries_size) {
+        return 0;
+    }
+    tp_put_le(out + 0, (uint64_t)m->position, 4);
+    tp_put_le(out + 4, (uint64_t)m->range_ua, 2);
+    tp_put_le(out + 6, (uint64_t)m->samples, 2);
+    tp_put_le(out + 8, (uint64_t)m->first_channel, 1);
+    tp_put_le(out + 9, (uint64_t)m->channels, 1);
+    tp_put_le(out + 10, (uint64_t)m->lags, 1);
+    if (m->entries_size > 0) {
+        memcpy(out + TP_CORRELATION_SIZE, m->entries, m->entries_size);
+    }
+    return TP_CORRELATION_SIZE + m->entries_size;
+}
+
+static inline bool tp_correlation_decode(tp_correlation *m, const uint8_t *in, size_t length)
+{
+    if (length < TP_CORRELATION_SIZE) {
+        return false;
+    }
+    m->position = (uint32_t)tp_get_le(in, length, 0, 4);
+    m->range_ua = (uint16_t)tp_get_le(in, length, 4, 2);
+    m->samples = (uint16_t)tp_get_le(in, length, 6, 2);
+    m->first_channel = (uint8_t)tp_get_le(in, length, 8, 1);
+    m->channels = (uint8_t)tp_get_le(in, length, 9, 1);
+    m->lags = (uint8_t)tp_get_le(in, length, 10, 1);
+    m->entries = in + 11;
+    m->entries_size = length - 11;
     return true;
 }
 

@@ -15,6 +15,7 @@ void ta_send_caps(ta_amplifier *amp)
     m.formats = c->formats;
     m.features = (uint16_t)((amp->hal.sense != NULL ? TP_FEATURE_SENSES : 0) |
                             (amp->hal.estop_open != NULL ? TP_FEATURE_ESTOP_INPUT : 0) |
+                            (ta_correlates(amp) ? TP_FEATURE_CORRELATES : 0) |
                             (c->holds ? TP_FEATURE_ZERO_ORDER_HOLD : 0));
     m.packet_limit = c->packet_limit;
     m.fifo_samples = c->fifo_samples;
@@ -85,12 +86,52 @@ static bool parameter_get(ta_amplifier *amp, uint16_t id, uint64_t now, uint32_t
         return hal->supply_mv != NULL && hal->supply_mv(hal->context, value);
     case TP_PARAMETER_TEMPERATURE_MK:
         return hal->temperature_mk != NULL && hal->temperature_mk(hal->context, value);
+    case TP_PARAMETER_CORRELATION_MS:
+        *value = amp->correlation_ms;
+        return ta_correlates(amp);
+    case TP_PARAMETER_SENSE_RANGE_UA:
+        *value = amp->sense_range_ua;
+        return ta_correlates(amp);
     default:
         return false;
     }
 }
 
-/* False: out of range. The parameters that can be set are the first four. */
+/* The parameters that can only be read. */
+static bool read_only(uint16_t id)
+{
+    return id == TP_PARAMETER_UPTIME_S || id == TP_PARAMETER_HIGH_VOLTAGE_MV ||
+           id == TP_PARAMETER_TEMPERATURE_MK;
+}
+
+/* A change ends the window under way (16.2). */
+static bool correlation_set(ta_amplifier *amp, uint32_t value)
+{
+    if (value != 0 && (value < 10 || value > 100)) {
+        return false;
+    }
+    if (value != amp->correlation_ms) {
+        ta_correlation_stop(amp);
+    }
+    amp->correlation_ms = value;
+    return true;
+}
+
+static bool range_set(ta_amplifier *amp, uint32_t value)
+{
+    if (value == amp->sense_range_ua) {
+        return true;
+    }
+    if (value == 0 || value > UINT16_MAX || amp->hal.sense_range == NULL ||
+        !amp->hal.sense_range(amp->hal.context, (uint16_t)value)) {
+        return false;
+    }
+    ta_correlation_stop(amp);
+    amp->sense_range_ua = (uint16_t)value;
+    return true;
+}
+
+/* False: out of range. */
 static bool parameter_set(ta_amplifier *amp, uint16_t id, uint32_t value)
 {
     switch (id) {
@@ -113,6 +154,10 @@ static bool parameter_set(ta_amplifier *amp, uint16_t id, uint32_t value)
         amp->sense_now = amp->sense_now || amp->sense_ms == 0;
         amp->sense_ms = value;
         return true;
+    case TP_PARAMETER_CORRELATION_MS:
+        return correlation_set(amp, value);
+    case TP_PARAMETER_SENSE_RANGE_UA:
+        return range_set(amp, value);
     default:
         if (value > TP_LOG_LEVEL_OFF) {
             return false;
@@ -154,7 +199,7 @@ ta_verdict ta_act_set(ta_amplifier *amp, const ta_request *r)
     if (!parameter_get(amp, m.parameter, r->now, &present)) {
         return ta_refuse(amp, TP_NAK_PARAMETER, m.parameter);
     }
-    if (m.parameter >= TP_PARAMETER_UPTIME_S) {
+    if (read_only(m.parameter)) {
         return ta_refuse(amp, TP_NAK_READ_ONLY, m.parameter);
     }
     if (m.parameter == TP_PARAMETER_NODE && !may_move(amp, r)) {

@@ -83,6 +83,21 @@ static inline void fuzz_sense(void *context, uint8_t channel, int16_t *voltage, 
     *current = 0;
 }
 
+/* Ends of the range and -32768 among them. */
+static inline void fuzz_currents(void *context, int16_t *codes)
+{
+    const fuzz_board *b = context;
+    for (size_t c = 0; c < b->amp.config.channels; c++) {
+        codes[c] = (int16_t)(b->codes[c] * (c % 2u == 0 ? 1 : -1) - (b->codes[c] == INT16_MAX ? 0 : 1));
+    }
+}
+
+static inline bool fuzz_sense_range(void *context, uint16_t range_ua)
+{
+    (void)context;
+    return range_ua % 2u == 0;
+}
+
 static inline void fuzz_power_up(fuzz_board *b, uint16_t packet_limit)
 {
     ta_config config = {0};
@@ -107,6 +122,9 @@ static inline void fuzz_power_up(fuzz_board *b, uint16_t packet_limit)
     hal.after = fuzz_after;
     hal.high_voltage = fuzz_high_voltage;
     hal.sense = fuzz_sense;
+    hal.currents = fuzz_currents;
+    hal.sense_range = fuzz_sense_range;
+    config.sense_range_ua = 2500;
     hal.estop_open = fuzz_estop_open;
     HOLDS(ta_init(&b->amp, &config, &hal));
 }

@@ -143,6 +143,10 @@ static size_t made(const ta_player *p, uint8_t type, const uint8_t *a, uint8_t *
         tp_put_le(out + 6, a[1] * 3000u, 4);
         tp_put_le(out + 10, a[2] * 80u, 4);
         return TP_LIMITS_SIZE;
+    case TP_SET:
+        tp_put_le(out + 2, 1u + a[0] % 9u, 2);
+        tp_put_le(out + 4, a[0] % 9u == 8u ? 100u * a[1] : a[1], 4);
+        return TP_SET_SIZE;
     case TP_PCM:
         return made_pcm(p, a, out);
     case TP_CARRIERS:

@@ -18,6 +18,8 @@ static const char usage[] =
     "  --sense            measure: SENSE gives what was put out\n"
     "  --load-pf LIST     measure what loads draw, such as 12800,0,short: of channels from 0 on, the\n"
     "                     last of all that follow; 0 is an open line\n"
+    "  --sense-ranges-ua LIST  measure for CORRELATION, and SENSE, with these ranges of the current, such\n"
+    "                     as 2500,20000; that at power-up first\n"
     "  --link serial|can|i2c|smbus|packet     answer over this link, whatever is fed\n"
     "  --out FILE         a record per instant: u64 tick, u32 position, u8 state,\n"
     "                     u8 high voltage, i16 per channel\n"
@@ -148,6 +150,27 @@ static bool take_loads(virtual_options *o, const char *text)
     return true;
 }
 
+static bool take_ranges(virtual_options *o, const char *text)
+{
+    for (size_t i = 0; i < VIRTUAL_RANGES && *text != '\0'; i++) {
+        char *end;
+        unsigned long value = strtoul(text, &end, 10);
+        if (*text < '0' || *text > '9' || value < 1 || value > UINT16_MAX) {
+            break;
+        }
+        o->ranges_ua[i] = (uint16_t)value;
+        text = *end == ',' && end[1] != '\0' ? end + 1 : end;
+    }
+    if (*text != '\0' || o->ranges_ua[0] == 0) {
+        fprintf(stderr, "virtual-amplifier: --sense-ranges-ua %s: up to %d numbers from 1 to 65535\n", text,
+                VIRTUAL_RANGES);
+        return false;
+    }
+    o->config.sense_range_ua = o->ranges_ua[0];
+    o->senses = true;
+    return true;
+}
+
 static bool take_flag(virtual_options *o, const char *name)
 {
     bool *flag = strcmp(name, "--pty") == 0        ? &o->pty
@@ -174,6 +197,9 @@ static bool take_value(virtual_options *o, const char *name, const char *value)
     }
     if (strcmp(name, "--load-pf") == 0) {
         return take_loads(o, value);
+    }
+    if (strcmp(name, "--sense-ranges-ua") == 0) {
+        return take_ranges(o, value);
     }
     const char **text = strcmp(name, "--out") == 0         ? &o->out
                         : strcmp(name, "--sent") == 0      ? &o->sent

@@ -105,11 +105,17 @@ static void hal_identify(void *context, uint8_t seconds)
     fprintf(stderr, "virtual-amplifier: here I am, for %u s\n", (unsigned)seconds);
 }
 
-/* C dv/dt [uA] of a change of code from one sample to the next, rounded; no more than a reading tells. */
-static int16_t load_current(const virtual_amplifier *v, uint32_t load_pf, int32_t change)
+/* C dv/dt [fA] of a change of code from one sample to the next. */
+static int64_t load_fa(const virtual_amplifier *v, uint32_t load_pf, int32_t change)
 {
     int64_t uv_per_s = (int64_t)change * v->amp.config.full_scale_uv / 32767 * v->amp.player.rate;
-    int64_t fa = uv_per_s / 1000 * (int64_t)load_pf;
+    return uv_per_s / 1000 * (int64_t)load_pf;
+}
+
+/* The same in whole uA, rounded; no more than a reading tells. */
+static int16_t load_current(const virtual_amplifier *v, uint32_t load_pf, int32_t change)
+{
+    int64_t fa = load_fa(v, load_pf, change);
     int64_t ua = (fa + (fa < 0 ? -500000000 : 500000000)) / 1000000000;
     return (int16_t)(ua > INT16_MAX ? INT16_MAX : ua < -INT16_MAX ? -INT16_MAX : ua);
 }
@@ -131,6 +137,44 @@ static void hal_sense(void *context, uint8_t channel, int16_t *voltage, int16_t 
         *voltage = (int16_t)((last + before) / 2);
         *current_ua = load_current(v, v->load_pf[channel], last - before);
     }
+}
+
+/* The same as a current code, at the end of the range where the load draws more. */
+static int16_t current_code(const virtual_amplifier *v, size_t channel)
+{
+    int32_t last = v->codes[0][channel];
+    int64_t full_pa = (int64_t)v->range_ua * 1000000;
+    if (!v->loaded) {
+        return 0;
+    }
+    if (v->load_pf[channel] == VIRTUAL_SHORT) {
+        return (int16_t)(last > 0 ? INT16_MAX : last < 0 ? -INT16_MAX : 0);
+    }
+    int64_t pa = load_fa(v, v->load_pf[channel], last - v->codes[1][channel]) / 1000;
+    if (pa > full_pa || pa < -full_pa) {
+        return (int16_t)(pa > 0 ? INT16_MAX : -INT16_MAX);
+    }
+    return (int16_t)(pa * INT16_MAX / full_pa);
+}
+
+static void hal_currents(void *context, int16_t *codes)
+{
+    const virtual_amplifier *v = context;
+    for (size_t c = 0; c < v->amp.config.channels; c++) {
+        codes[c] = current_code(v, c);
+    }
+}
+
+static bool hal_sense_range(void *context, uint16_t range_ua)
+{
+    virtual_amplifier *v = context;
+    for (size_t i = 0; i < VIRTUAL_RANGES; i++) {
+        if (v->ranges_ua[i] == range_ua) {
+            v->range_ua = range_ua;
+            return true;
+        }
+    }
+    return false;
 }
 
 /* Files */
@@ -181,6 +225,8 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
     hal.estop_open = hal_estop_open;
     hal.identify = hal_identify;
     hal.sense = options->senses ? hal_sense : NULL;
+    hal.currents = options->ranges_ua[0] != 0 ? hal_currents : NULL;
+    hal.sense_range = hal_sense_range;
     if (!ta_init(&v->amp, &options->config, &hal)) {
         fprintf(stderr, "virtual-amplifier: the options contradict section 11.1 or the sizes\n");
         return false;
@@ -190,6 +236,8 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
     ta_smbus_init(&v->smbus, &v->amp, &v->replies);
     v->loaded = options->loaded;
     memcpy(v->load_pf, options->load_pf, sizeof v->load_pf);
+    memcpy(v->ranges_ua, options->ranges_ua, sizeof v->ranges_ua);
+    v->range_ua = options->ranges_ua[0];
     v->fixed_link = options->link >= 0;
     v->link = v->fixed_link ? (uint8_t)options->link : (uint8_t)KIND_PACKET;
     return open_file(&v->out, options->out) && open_file(&v->sent, options->sent) &&

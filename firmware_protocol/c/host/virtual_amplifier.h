@@ -11,6 +11,7 @@
 #define VIRTUAL_ID_REMOTE 0x40000000u
 #define VIRTUAL_LOAD_MAX 1000000u /* pF, of a channel's load */
 #define VIRTUAL_SHORT (VIRTUAL_LOAD_MAX + 1u)
+#define VIRTUAL_RANGES 8 /* of the current, at most */
 
 /* Of records, of what was fed and what was sent. */
 enum {
@@ -38,6 +39,7 @@ typedef struct {
     bool senses;
     bool loaded; /* SENSE tells what it draws: */
     uint32_t load_pf[TA_CHANNELS];
+    uint16_t ranges_ua[VIRTUAL_RANGES]; /* of the current; all 0: no CORRELATION */
     bool pty;
     bool replay;
 } virtual_options;
@@ -54,6 +56,8 @@ typedef struct {
     bool fixed_link;
     bool loaded;
     uint32_t load_pf[TA_CHANNELS];
+    uint16_t ranges_ua[VIRTUAL_RANGES]; /* that it has, and the one in use */
+    uint16_t range_ua;
     int16_t codes[2][TA_CHANNELS]; /* put out last, and before */
     bool estop_open;               /* the contact of the e-stop input */
     FILE *out;

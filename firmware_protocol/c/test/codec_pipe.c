@@ -67,6 +67,7 @@ static uint32_t payload_again(const ta_packet *packet)
         AGAIN(STATUS, status)
         AGAIN(SENSE, sense)
         AGAIN(LOG, log)
+        AGAIN(CORRELATION, correlation)
     default:
         return NONE;
     }

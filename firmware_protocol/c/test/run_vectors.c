@@ -17,11 +17,13 @@
  *   decode FORMAT SAMPLES CHANNELS HEX  codes
  *   encode FORMAT SAMPLES CHANNELS CODE ...
  *   sine ANGLE | amplitude CODE | phasor CODE PHASE
+ *   correlate N CODE ... N CODE CURRENT ...   codes before the window, and the window; its entry
  *   value POSITION N INCREMENT ... CODE PHASE ...
  */
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "../tactile_correlator.h"
 #include "../tactile_link.h"
 #include "../tactile_samples.h"
 #include "../tactile_spectrum.h"
@@ -395,6 +397,31 @@ static void do_phasor(void)
     printf("%d %d", phasor.i, phasor.q);
 }
 
+static void do_correlate(void)
+{
+    static ta_correlator correlator;
+    uint8_t entry[TA_ENTRY];
+    int16_t code;
+    size_t before = number();
+    ta_correlator_start(&correlator, 1);
+    for (size_t i = 0; i < before; i++) {
+        code = (int16_t)number();
+        ta_correlator_played(&correlator, &code);
+    }
+    size_t samples = number();
+    ta_correlator_open(&correlator, 0, (uint16_t)samples);
+    for (size_t i = 0; i < samples; i++) {
+        code = (int16_t)number();
+        ta_correlator_played(&correlator, &code);
+        code = (int16_t)number();
+        if (ta_correlator_add(&correlator, &code) != (i + 1 == samples)) {
+            printf("not complete ");
+        }
+    }
+    ta_correlator_entry(&correlator, 0, entry);
+    show(entry, sizeof entry);
+}
+
 int main(void)
 {
     static const struct {
@@ -410,6 +437,7 @@ int main(void)
         {"decode", do_decode},         {"encode", do_encode},
         {"sine", do_sine},             {"amplitude", do_amplitude},
         {"phasor", do_phasor},         {"value", do_value},
+        {"correlate", do_correlate},
     };
     while (fgets(line, sizeof line, stdin) != NULL) {
         const char *name = strtok(line, " \n");

@@ -1,0 +1,112 @@
+/* Correlations; see the header. */
+#include "tactile_correlator.h"
+
+#define PLACES (TP_LAGS + 1u)
+#define ENERGY_MOST 1023u
+
+void ta_correlator_start(ta_correlator *c, uint8_t channels)
+{
+    memset(c, 0, sizeof *c);
+    c->channels = channels;
+}
+
+void ta_correlator_stop(ta_correlator *c)
+{
+    c->left = 0;
+}
+
+void ta_correlator_played(ta_correlator *c, const int16_t *codes)
+{
+    c->newest = (uint8_t)((c->newest + 1u) % PLACES);
+    for (size_t i = 0; i < c->channels; i++) {
+        c->sums[i].codes[c->newest] = codes[i];
+    }
+}
+
+void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
+{
+    if (c->left > 0) {
+        return;
+    }
+    c->position = position;
+    c->samples = samples;
+    c->left = samples;
+    for (size_t i = 0; i < c->channels; i++) {
+        ta_correlated *s = &c->sums[i];
+        s->energy = 0;
+        s->clipped = false;
+        memset(s->products, 0, sizeof s->products);
+    }
+}
+
+/* The codes from the newest on, back through the ring. */
+static void add(ta_correlated *s, size_t newest, int32_t current)
+{
+    size_t place = newest;
+    for (size_t lag = 0; lag < PLACES; lag++) {
+        s->products[lag] += current * (int32_t)s->codes[place];
+        place = place > 0 ? place - 1u : PLACES - 1u;
+    }
+    s->energy += (uint64_t)(current * current);
+    s->clipped = s->clipped || current == (int32_t)TP_FULL_SCALE_CODE ||
+                 current == -(int32_t)TP_FULL_SCALE_CODE;
+}
+
+bool ta_correlator_add(ta_correlator *c, const int16_t *currents)
+{
+    if (c->left == 0) {
+        return false;
+    }
+    for (size_t i = 0; i < c->channels; i++) {
+        add(&c->sums[i], c->newest, currents[i] == INT16_MIN ? -INT16_MAX : currents[i]);
+    }
+    c->left--;
+    return c->left == 0;
+}
+
+/* value / 2^shift, rounded to the nearest integer, halves up. */
+static int64_t rounded(int64_t value, unsigned shift)
+{
+    return ta_shift_right(value + (shift > 0 ? (int64_t)1 << (shift - 1u) : 0), shift);
+}
+
+/* The least exponent with which all correlations fit 16 bits. */
+static unsigned exponent_of(const int64_t *sums)
+{
+    int64_t high = sums[0];
+    int64_t low = sums[0];
+    unsigned exponent = 0;
+    for (size_t lag = 1; lag < TP_LAGS; lag++) {
+        high = sums[lag] > high ? sums[lag] : high;
+        low = sums[lag] < low ? sums[lag] : low;
+    }
+    while (rounded(high, exponent) > INT16_MAX || rounded(low, exponent) < -INT16_MAX) {
+        exponent++;
+    }
+    return exponent;
+}
+
+static uint32_t energy_code(uint64_t energy)
+{
+    unsigned exponent = 0;
+    while (rounded((int64_t)energy, exponent) > (int64_t)ENERGY_MOST) {
+        exponent++;
+    }
+    return exponent << 10 | (uint32_t)rounded((int64_t)energy, exponent);
+}
+
+void ta_correlator_entry(const ta_correlator *c, size_t channel, uint8_t *out)
+{
+    const ta_correlated *s = &c->sums[channel];
+    int64_t sums[TP_LAGS];
+    for (size_t lag = 0; lag < TP_LAGS; lag++) {
+        sums[lag] = s->products[lag] - s->products[lag + 1u];
+    }
+    unsigned exponent = exponent_of(sums);
+    out[0] = s->clipped ? TP_WINDOW_CLIPPED : 0;
+    out[1] = (uint8_t)exponent;
+    tp_put_le(out + 2, energy_code(s->energy), 2);
+    for (size_t lag = 0; lag < TP_LAGS; lag++) {
+        tp_put_le(out + 4u + 2u * lag, (uint64_t)rounded(sums[lag], exponent), 2);
+    }
+}

@@ -1,0 +1,47 @@
+/* Correlations of measured currents with the drive that was played (16): the sums of the window under
+ * way, and the entries of CORRELATION that follow from them.
+ *
+ * A sample costs TP_LAGS + 1 products of 16 bits per channel, added up in 64; the end of a window costs
+ * up to TP_EXPONENT_MOST + 1 comparisons and TP_LAGS divisions by a power of 2 per channel.
+ */
+#ifndef TACTILE_CORRELATOR_H
+#define TACTILE_CORRELATOR_H
+
+#include "tactile_core.h"
+
+typedef struct {
+    uint64_t energy;
+    int64_t products[TP_LAGS + 1]; /* of the current with the code 0 ... TP_LAGS instants before */
+    int16_t codes[TP_LAGS + 1];    /* ring of the codes that were put out last */
+    bool clipped;
+} ta_correlated;
+
+typedef struct {
+    uint8_t channels;
+    uint8_t newest;    /* place of the latest code in the rings */
+    uint16_t samples;  /* of the window under way, and those that it still lacks: 0 if there is none */
+    uint16_t left;
+    uint32_t position; /* first of the window */
+    ta_correlated sums[TA_CHANNELS];
+} ta_correlator;
+
+/* Forgets the codes that were played and the window under way, as at START. */
+void ta_correlator_start(ta_correlator *c, uint8_t channels);
+
+/* Ends the window under way, which is not sent. */
+void ta_correlator_stop(ta_correlator *c);
+
+/* Adds the codes that were put out at an instant of RUNNING. */
+void ta_correlator_played(ta_correlator *c, const int16_t *codes);
+
+/* Begins a window of `samples` at a position if none is under way. */
+void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples);
+
+/* Adds the current codes of the instant that was put out last; returns whether that completes the window,
+ * whose sums stay until the next one is opened. */
+bool ta_correlator_add(ta_correlator *c, const int16_t *currents);
+
+/* Writes the entry of a channel, TA_ENTRY bytes. */
+void ta_correlator_entry(const ta_correlator *c, size_t channel, uint8_t *out);
+
+#endif

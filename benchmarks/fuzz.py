@@ -23,7 +23,7 @@ SECONDS = 600
 C = Path(firmware_protocol.__file__).parent / "c"
 """Folder of the C sources."""
 SCRIPT = C.parents[1] / "tests" / "fuzz" / "fuzz_python.py"
-PYTHON_TARGETS = ("packets", "serial", "can", "i2c", "formats", "amplifier")
+PYTHON_TARGETS = ("packets", "serial", "can", "i2c", "formats", "windows", "amplifier")
 
 
 @dataclass(frozen=True)

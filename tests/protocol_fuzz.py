@@ -9,9 +9,10 @@ from dataclasses import fields, replace
 from typing import Any, Protocol
 
 import numpy as np
+from protocol_traces import Loads
 
+from firmware_protocol import correlation, samples
 from firmware_protocol import messages as m
-from firmware_protocol import samples
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import FD_SIZES, CanDecoder, CanEncoder
 from firmware_protocol.config import AmplifierConfig, LimitsInForce
@@ -31,7 +32,12 @@ from firmware_protocol.serial_link import SerialDecoder, coded_limit, encode_fra
 
 KINDS = tuple(m.MESSAGES.values())
 CONFIG = AmplifierConfig(
-    channels=3, carriers=4, packet_limit=512, fifo=256, full_scale_uv=90_000_000
+    channels=3,
+    carriers=4,
+    packet_limit=512,
+    fifo=256,
+    full_scale_uv=90_000_000,
+    sense_ranges_ua=(2500, 300),
 )
 LARGEST_STEP = LimitsInForce.of(CONFIG).step(CONFIG.rate_min_hz)
 
@@ -114,6 +120,32 @@ def i2c(data: bytes) -> None:
         smbus.write(source.take(size), now)
         decode_read(source.take(size))
         _bounded(smbus._reassembler, 255)
+
+
+def windows(data: bytes) -> None:
+    """Decode a CORRELATION of any content, and one that an amplifier may have sent."""
+    message = m.Correlation.unpack(data)
+    if message is not None:
+        _decoded(message)
+        _decoded(replace(message, lags=16, channels=len(message.entries) // 36))
+    source = Source(data)
+    count, channels = 1 + source.number() % 40, 1 + source.number() % 5
+    size = 2 * count * channels
+    raw = np.frombuffer(source.take(2 * size).ljust(2 * size, b"\xfe"), "<i2").astype(np.int64)
+    codes, currents = raw.reshape(2, count, channels)
+    (window,) = correlation.Correlator(channels).add(0, np.maximum(codes, -32767), currents, count)
+    for sent in correlation.messages_of(window, 1 + source.number(), 136):
+        _decoded(sent)
+        assert correlation.decode(sent) is not None
+
+
+def _decoded(message: m.Correlation) -> None:
+    """See that what is decoded is within what the exponents can tell."""
+    entries = correlation.decode(message)
+    if entries is not None:
+        assert entries.sums.shape == (message.channels, 16)
+        assert np.abs(entries.sums).max() <= 32768 << 32
+        assert 0 <= entries.energy.min() <= entries.energy.max() < 1 << 48
 
 
 def _bounded(reassembler: Reassembler, limit: int) -> None:
@@ -265,7 +297,9 @@ class Session:
     """Acts on an amplifier as bytes say, and looks at what it puts out."""
 
     def __init__(self, wire: str) -> None:
-        self.amplifier = ReferenceAmplifier(CONFIG)
+        self.loads = Loads(CONFIG)
+        self.loads.rate = 8000
+        self.amplifier = ReferenceAmplifier(CONFIG, self.loads)
         self.wire = WIRES[wire](self.amplifier)
         self.host, self.now = AmplifierHost(0x1234, 1), 0
         self.last = np.zeros(CONFIG.channels, int)
@@ -366,5 +400,6 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "can": can,
     "i2c": i2c,
     "formats": formats,
+    "windows": windows,
     "amplifier": amplifier,
 }

@@ -13,6 +13,7 @@ RUNS = {
     "can": 8000,
     "i2c": 8000,
     "formats": 2500,
+    "windows": 2500,
     "amplifier": 400,
 }
 """Number of runs of each kind, which take about 1.5 s each."""

@@ -164,6 +164,8 @@ class ReferenceAmplifier(Machine):
             self.session = hello.session
             self._limit(LimitsInForce.of(self.config))
             self._increments, self._sync = NO_CARRIERS, (0, 0)
+            if self._correlates:
+                self._settings[Parameter.CORRELATION_MS] = 0
             self._pulsed = self._last_alive = None
         c = self.config
         return m.Caps(

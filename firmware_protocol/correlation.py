@@ -35,13 +35,15 @@ class Sensor(Protocol):
     The amplifier calls `measure` with all that it puts out, in order and in every state.
     """
 
-    def measure(self, codes: Ints) -> Ints:
+    def measure(self, codes: Ints, rate: int) -> Ints:
         """Measure the currents of a run of instants.
 
         Parameters
         ----------
         codes : (S, C) array of int
             Sample codes that were put out.
+        rate : int
+            Sample rate [Hz].
 
         Returns
         -------
@@ -328,12 +330,15 @@ class Entries(NamedTuple):
         Bits of `Window`.
     sums : (N, L) array of int
         Correlations [current code × sample code], as far as the exponents keep them.
+    rounding : (N,) array of float
+        Largest errors of the correlations, of rounding [current code × sample code].
     energy : (N,) array of int
         Sums of squares [current code²], within 0.1 %.
     """
 
     flags: NDArray[np.uint8]
     sums: Ints
+    rounding: NDArray[np.float64]
     energy: Ints
 
 
@@ -364,5 +369,7 @@ def decode(message: m.Correlation) -> Entries | None:
     mantissa, shift = codes & ((1 << MANTISSA_BITS) - 1), codes >> MANTISSA_BITS
     if shift.max() > ENERGY_EXPONENT_MOST:
         return None
-    sums = entries["sums"].astype(np.int64) << entries["exponent"].astype(np.int64)[:, None]
-    return Entries(entries["flags"].copy(), sums, mantissa << shift)
+    exponent = entries["exponent"].astype(np.int64)
+    sums = entries["sums"].astype(np.int64) << exponent[:, None]
+    rounding = ((np.int64(1) << exponent) >> 1).astype(np.float64)
+    return Entries(entries["flags"].copy(), sums, rounding, mantissa << shift)

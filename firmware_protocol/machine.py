@@ -344,7 +344,7 @@ class Machine:
 
     def _measure(self, sensor: Sensor, position: int, codes: Ints, *, in_window: bool) -> None:
         """Measure the currents of a run, and send the windows that it completes (section 16)."""
-        currents = sensor.measure(codes)
+        currents = sensor.measure(codes, self.rate)
         if not (self._correlates and in_window and self.state == State.RUNNING):
             self._correlator.stop()
             return

@@ -297,9 +297,7 @@ class Session:
     """Acts on an amplifier as bytes say, and looks at what it puts out."""
 
     def __init__(self, wire: str) -> None:
-        self.loads = Loads(CONFIG)
-        self.loads.rate = 8000
-        self.amplifier = ReferenceAmplifier(CONFIG, self.loads)
+        self.amplifier = ReferenceAmplifier(CONFIG, Loads(CONFIG))
         self.wire = WIRES[wire](self.amplifier)
         self.host, self.now = AmplifierHost(0x1234, 1), 0
         self.last = np.zeros(CONFIG.channels, int)

@@ -78,8 +78,8 @@ class Loads:
         self.loads, self.rate = loads, 0
         self.last = self.before = [0] * config.channels
 
-    def measure(self, codes: NDArray[np.int64]) -> NDArray[np.int64]:
-        rows = []
+    def measure(self, codes: NDArray[np.int64], rate: int) -> NDArray[np.int64]:
+        rows, self.rate = [], rate
         for row in codes.tolist():
             self.before, self.last = self.last, row
             rows.append([self._code(c) for c in range(len(row))])

@@ -135,7 +135,6 @@ class Scene:
         positions, states = rows["position"].tolist(), rows["state"].tolist()
         ticks, codes, config = rows["tick"].tolist(), rows["codes"].tolist(), self.rig.config
         loads, changes, rate = Loads(config), list(self.changes), self.rig.amplifier.rate
-        loads.rate = rate
         present, played = changes.pop(0), dict[int, list[int]]()
         window: dict[int, list[int]] = {}
         length = 0
@@ -145,7 +144,7 @@ class Scene:
                     present = changes.pop(0)
                 window = {}
                 loads.choose(present.range_ua)
-            currents = loads.measure(np.array([codes[k]]))[0].tolist()
+            currents = loads.measure(np.array([codes[k]]), rate)[0].tolist()
             pending = k + 1 < len(positions) and positions[k + 1] == position
             if states[k] != State.RUNNING or pending:
                 window, played = {}, {}
@@ -250,6 +249,20 @@ def test_a_set_to_the_value_in_force_changes_nothing() -> None:
         scene.tell("SET", OWNER, CORRELATION_MS, 20)
         scene.tell("SET", OWNER, SENSE_RANGE_UA, 2500)
     assert [w.position for w in scene.sent() if w.first_channel == 0] == [0, 40, 80]
+
+
+def test_another_session_gets_no_windows_unless_it_asks() -> None:
+    """The token in force changes nothing; the range stays in any case."""
+    scene = Scene()
+    scene.set(CORRELATION_MS, 20)
+    scene.set(SENSE_RANGE_UA, 300)
+    for session in (OWNER, 0, 0x4321):
+        scene.tell("HELLO", session, 1, 0, 0)
+        scene.tell("GET", CORRELATION_MS)
+    scene.tell("GET", SENSE_RANGE_UA)
+    assert [struct.unpack("<HI", v) for v in answers(scene, VALUE)] == [
+        (8, 20), (8, 20), (8, 0), (9, 300),
+    ]  # fmt: skip
 
 
 def test_nothing_is_sent_unless_it_is_asked_for() -> None:

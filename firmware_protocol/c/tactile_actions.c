@@ -6,7 +6,7 @@ static const uint8_t on_hello_other[] = TP_TABLE_HELLO_OTHER;
 
 /* Session and time */
 
-/* Section 6.1: another session begins with the hardware's limits, no carriers and no sync. */
+/* Section 6.1: another session begins with the hardware's limits, no carriers, no sync and no windows. */
 static void take_session(ta_amplifier *amp, uint16_t session)
 {
     const ta_config *c = &amp->config;
@@ -15,6 +15,7 @@ static void take_session(ta_amplifier *amp, uint16_t session)
     amp->player.carriers = 0;
     amp->sync_index = 0;
     amp->sync_tick = 0;
+    amp->correlation_ms = 0;
     amp->heard = false;
     amp->pulse_now = true;
 }

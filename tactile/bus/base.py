@@ -18,6 +18,13 @@ Errors
     "estopped" or "idle", and blocks that are written from then on are dropped and counted, at the
     pace of the bus if it has one, until the caller ends playing with `Bus.stop` or `Bus.abort`.
 
+Currents
+    Amplifiers may measure the currents of their channels. A bus whose `Bus.correlates` is true
+    delivers them by `Bus.take_correlations`, correlated with the drive in windows that follow each
+    other from `Bus.start` to `Bus.stop` without a gap; on other buses that returns nothing. Nobody
+    has to take them: only the newest are kept, and what is dropped or wrong is counted in
+    `Bus.correlation_counters`.
+
 Threads
     Any thread may call any method, and a signal handler may call `Bus.estop`. `Bus.start`,
     `Bus.stop`, `Bus.abort`, `Bus.clear` and `Bus.close` exclude each other by a lock. The other
@@ -43,6 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
+from tactile.bus.correlations import CorrelationCounters, CorrelationWindow, WindowQueue
 from tactile.bus.states import BusState, States
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
@@ -331,6 +339,7 @@ class Bus(ABC):
         self.counters = BusCounters()
         self._next = 0
         self._anchor = 0, 0.0
+        self._windows = WindowQueue()
         self._states = States()
         self._call_lock = threading.RLock()  # held by start, stop, abort, clear and close
 
@@ -364,6 +373,30 @@ class Bus(ABC):
         """Status of the bus now."""
         state = self.state
         return BusStatus(state, playing=state == "running")
+
+    @property
+    def correlates(self) -> bool:
+        """Whether amplifiers measure currents, and were asked for their correlations."""
+        return False
+
+    @property
+    def correlation_counters(self) -> CorrelationCounters:
+        """Windows that came, that were dropped, and that were wrong, since the bus was opened."""
+        return self._windows.counters
+
+    def take_correlations(self) -> list[CorrelationWindow]:
+        """Return the windows of correlated currents that have come since the last call.
+
+        They are of the drive as it was played, of the windows that are complete. The drive is what
+        was written only as long as `BusCounters` counts no fault and the amplifier limits nothing.
+
+        Returns
+        -------
+        list of CorrelationWindow
+            Windows, for each channel in the order of their positions; the newest `MOST_WINDOWS` of
+            `correlations`. Empty for a bus that does not correlate.
+        """
+        return self._windows.take()
 
     def start(self, position: int = 0) -> None:
         """Begin playing; return when the amplifier has started.

@@ -11,14 +11,17 @@ import numpy as np
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.config import AmplifierConfig, LimitsInForce
+from firmware_protocol.correlation import Sensor
 from firmware_protocol.host import BY_HOST, SKIPPED, AmplifierHost, codes_of, pcm, refusal
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, HEARTBEAT_MS, SampleFormat, State
 from firmware_protocol.packet import TURN, Packet, encode_packet
+from firmware_protocol.player import distance
 from firmware_protocol.ports import SerialPort
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.arrays import Floats
 from tactile.bus.base import Wiring
+from tactile.bus.correlations import WindowDecoder, WindowQueue
 from tactile.errors import BusError, InputError
 
 MOST_CHANNELS = 255
@@ -42,6 +45,10 @@ class Board:
         Capabilities and limits of the amplifier.
     sample_format : SampleFormat
         Format in which samples are sent to it.
+    sensor : Sensor or None
+        What measures its currents; None if it does not.
+    windows : WindowQueue or None
+        Queue that takes the windows of correlated currents, if there is a sensor.
 
     Attributes
     ----------
@@ -51,8 +58,16 @@ class Board:
         Host's side of the session, which has the latest answers.
     """
 
-    def __init__(self, config: AmplifierConfig, sample_format: SampleFormat) -> None:
-        self.amplifier = ReferenceAmplifier(config)
+    def __init__(
+        self,
+        config: AmplifierConfig,
+        sample_format: SampleFormat,
+        sensor: Sensor | None = None,
+        windows: WindowQueue | None = None,
+    ) -> None:
+        self.amplifier = ReferenceAmplifier(config, sensor)
+        self._windows = windows or WindowQueue()
+        self._window_decoder = WindowDecoder(self._windows.counters, 0)
         self.host = AmplifierHost(SESSION, config.node)
         self._port, self._decoder = SerialPort(self.amplifier), SerialDecoder()
         self._format = sample_format
@@ -62,8 +77,22 @@ class Board:
     def _send(self, packet: Packet) -> None:
         """Pass a packet to the amplifier, and its answers to the host."""
         self._port.feed(encode_frame(encode_packet(packet)), self._now)
-        for answer in self._decoder.feed(self._port.take()):
-            self.host.receive(answer)
+        self._receive()
+
+    def _receive(self) -> None:
+        """Take what the amplifier has sent."""
+        for packet in self._decoder.feed(self._port.take()):
+            message = self.host.receive(packet)
+            if isinstance(message, m.Correlation):
+                self._add_window(message)
+
+    def _add_window(self, message: m.Correlation) -> None:
+        """Add a window of correlated currents to the queue, if it is right."""
+        assert self.host.caps is not None
+        position = self._sent + distance(message.position, self._sent % TURN) - self._offset
+        window = self._window_decoder.decode(message, self.host.caps, position, 0)
+        if window is not None:
+            self._windows.add(window)
 
     def request(self, message: m.Message) -> None:
         """Send a request.
@@ -84,6 +113,21 @@ class Board:
         if isinstance(answer, m.Nak):
             raise BusError(refusal(answer))
 
+    def ask_for_windows(self, milliseconds: int) -> None:
+        """Ask for windows of correlated currents.
+
+        Parameters
+        ----------
+        milliseconds : int
+            Length of a window [ms].
+
+        Raises
+        ------
+        BusError
+            If the amplifier does not measure.
+        """
+        self.request(m.Set(SESSION, m.Parameter.CORRELATION_MS, milliseconds))
+
     def start(self, position: int, rate: int) -> None:
         """Arm the amplifier and begin playing at its next tick.
 
@@ -102,7 +146,9 @@ class Board:
         self.request(m.Arm(SESSION, m.Mode.PCM, rate))
         self._heartbeat = self._now
         self._offset = self._sent + SKIPPED - position
-        self.request(m.Start(SESSION, (self._sent + SKIPPED) % TURN, time=self._now + 1))
+        begin = (self._sent + SKIPPED) % TURN
+        self._window_decoder = WindowDecoder(self._windows.counters, begin)
+        self.request(m.Start(SESSION, begin, time=self._now + 1))
 
     def send(self, position: int, volts: Floats) -> None:
         """Send samples, which wait in the amplifier until `play` puts them out.
@@ -198,8 +244,7 @@ class Board:
         """Advance the sample clock; return what was put out meanwhile."""
         self._now = self.amplifier.due(count)
         self.amplifier.run(self._now)
-        for answer in self._decoder.feed(self._port.take()):
-            self.host.receive(answer)
+        self._receive()
         return self.amplifier.take_played()
 
     def _volts(self, runs: list[PlayedRun]) -> Floats:
@@ -220,6 +265,7 @@ def config_of(
     *,
     rates: tuple[int, int] | None = None,
     fifo_ms: float = 64.0,
+    sense_ranges_ua: tuple[int, ...] = (),
 ) -> AmplifierConfig:
     """Return the configuration of an amplifier with the limits of a display.
 
@@ -235,6 +281,8 @@ def config_of(
         Lowest and highest sample rate that it plays [Hz]; by default only that of the wiring.
     fifo_ms : float
         Length of its buffer at the highest rate [ms].
+    sense_ranges_ua : tuple of int
+        Ranges of the current that it measures [µA]; empty if it does not.
 
     Returns
     -------
@@ -259,6 +307,7 @@ def config_of(
         full_scale_uv=voltage, voltage_limit_uv=voltage,
         slew_limit_v_per_s=int(min(wiring.slew, STEEPEST)),
         fade_limit_us=min(max(round(wiring.fade * 1e6), 1), FADE_MS * 1000),
+        sense_ranges_ua=sense_ranges_ua,
     )  # fmt: skip
     limits = LimitsInForce.of(config)
     if not all(limits.in_time(each) for each in (lowest, rate, highest)):

@@ -19,6 +19,7 @@ from bus_contract import (
 
 from tactile.bus import base
 from tactile.bus.base import DriveBlock, HostDeath, Wiring
+from tactile.bus.correlations import CorrelationCounters
 from tactile.display.display import Display
 from tactile.errors import BusError, BusStateError
 
@@ -174,6 +175,17 @@ class TestStates:
         assert steps == pytest.approx(np.array([16, 7984]) / bus.wiring.sample_rate, rel=1e-3)
         assert bus.ahead >= 0
         bus.stop()
+
+    def test_currents_come_only_where_they_were_asked_for(
+        self, bench: Bench, three: Display
+    ) -> None:
+        bus = bench.open(three)
+        bus.start()
+        bus.write(DriveBlock(0, level(1, 2, 3, count=400)))
+        bus.stop()
+        assert not bus.correlates
+        assert bus.take_correlations() == []
+        assert bus.correlation_counters == CorrelationCounters()
 
     def test_estop_holds_where_nothing_played(self, bench: Bench, three: Display) -> None:
         bus = bench.open(three)

@@ -75,6 +75,8 @@ class LinkBus(Bus):
         what comes; None for one that adapts to underruns.
     clock : Clock or None
         Clock of a modeled wire, which advances while its `receive` waits; None for real time.
+    correlation_ms : int
+        Length of the windows of correlated currents that are asked for [ms]; 0 for none.
 
     Attributes
     ----------
@@ -101,8 +103,10 @@ class LinkBus(Bus):
         rearm: bool = False,
         lead: float | None = None,
         clock: Clock | None = None,
+        correlation_ms: int = 0,
     ) -> None:
         super().__init__(wiring, clock or MONOTONIC)
+        self._correlation_ms = correlation_ms
         self.counters: LinkBusCounters = LinkBusCounters()
         self._connect = connect
         self._changed = threading.Condition()  # the lock, which is notified of a new phase
@@ -120,7 +124,8 @@ class LinkBus(Bus):
         """Host time up to which the thread waits in `receive` [s]."""
         self._session = LinkSession(
             wiring, token=secrets.randbelow(0xFFFF) + 1, choose=choose, counters=self.counters,
-            nodes=nodes, rearm=rearm, lead=lead,
+            nodes=nodes, rearm=rearm, lead=lead, windows=self._windows,
+            correlation_ms=correlation_ms,
         )  # fmt: skip
         self._session.connected(self._clock.now())
         self._thread: threading.Thread | None = None
@@ -234,6 +239,11 @@ class LinkBus(Bus):
             return False
         with self._changed:
             return session.gives_up(self._clock.now())
+
+    @property
+    def correlates(self) -> bool:
+        """Whether an amplifier measures currents, and was asked for their correlations."""
+        return self._correlation_ms > 0 and any(peer.measures for peer in self._session.peers)
 
     @property
     def lead(self) -> float:

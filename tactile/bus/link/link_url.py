@@ -28,11 +28,15 @@ class LinkOptions(Options, frozen=True, kw_only=True):
         Whether the bus may arm an amplifier again that went to 0 V by itself.
     lead_ms : float or None
         Time by which samples are sent before they are due [ms]; by default it adapts to underruns.
+    correlation_ms : int or None
+        Length of the windows of correlated currents, of amplifiers that measure them [ms]; by
+        default none are asked for.
     """
 
     format: FormatName | None = None
     rearm: bool = False
     lead_ms: Annotated[float, Meta(ge=1e3 * LEAST_LEAD, le=1e3 * LONGEST_LEAD)] | None = None
+    correlation_ms: Annotated[int, Meta(ge=10, le=100)] | None = None
 
     @property
     def medium(self) -> Link:
@@ -89,7 +93,11 @@ def open_link(
     wiring = Wiring.of(display, sample_rate or RATE)
     config_of(wiring, 1, 1)  # raises if no amplifier can keep what the display asks for
     choose = planner(options, display, sample_rate)
-    return LinkBus(wiring, connect, choose, nodes=nodes, rearm=options.rearm, lead=options.lead)
+    return LinkBus(
+        wiring, connect, choose,
+        nodes=nodes, rearm=options.rearm, lead=options.lead,
+        correlation_ms=options.correlation_ms or 0,
+    )  # fmt: skip
 
 
 def planner(

@@ -65,6 +65,8 @@ class Peer:
         Tick of the amplifier's clock at which the latest START plays.
     queries : Queries
         Requests outside of the course of the session, and readings.
+    settings : Queries
+        Request that sets the length of the windows of CORRELATION.
     """
 
     def __init__(self, session: int, node: int) -> None:
@@ -94,7 +96,7 @@ class Peer:
         self._request: Packet | None = None
         """Request that waits for its answer."""
         self._tries, self._next_try = 0, math.inf
-        self.queries = Queries(self.host)
+        self.queries, self.settings = Queries(self.host), Queries(self.host)
         self._probes: dict[int, float] = {}
         """Host times of probes without an answer by their stamps [s]."""
         self._status_due = math.inf
@@ -175,6 +177,7 @@ class Peer:
         elif isinstance(message, m.TimeReply):
             self._add_exchange(message, now)
         self.queries.receive(message)
+        self.settings.receive(message)
         if request is None:
             return
         if isinstance(message, m.Nak):
@@ -232,10 +235,31 @@ class Peer:
 
     def _position_at(self, now: float) -> int:
         """Return the wire position that is put out next, by the clock, modulo 2³²."""
+        return (self._reached(now) + self._origin) % TURN
+
+    def _reached(self, now: float) -> int:
+        """Return the position that is put out next, by the clock."""
         assert self.clock is not None
         ticks = max(self.clock.ticks_at(now) - self.begun, 0)
-        begin = self._start_position + self._origin
-        return (begin + math.ceil(ticks * self._rate / self.clock.tick_hz)) % TURN
+        return self._start_position + math.ceil(ticks * self._rate / self.clock.tick_hz)
+
+    def position_of(self, wire: int, now: float) -> int:
+        """Return the position of a wire position that the amplifier has put out lately.
+
+        Parameters
+        ----------
+        wire : int
+            Position on the wire, modulo 2³², since the latest START or before it.
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        int
+            Position on the scale of what is written.
+        """
+        reached = self._reached(now)
+        return reached + distance(wire, (reached + self._origin) % TURN)
 
     def _add_counts(self, underruns: int, late: int | None) -> None:
         """Add what the amplifier's counters have risen by; they begin anew after a reset."""
@@ -286,7 +310,7 @@ class Peer:
             else:
                 self._tries, self._next_try = self._tries + 1, now + RETRY
                 out.append(self._request)
-        out += self.queries.poll(now)
+        out += [*self.queries.poll(now), *self.settings.poll(now)]
         if self.clock is not None and (self.clock.probe_due(now) or now >= self._greeting_probe):
             self._greeting_probe = math.inf if self._greeting_probe == math.inf else now + RETRY
             out.append(self._probe(now))
@@ -299,10 +323,29 @@ class Peer:
     def deadline(self) -> float:
         """Host time at which `poll` has something to send, if nothing is received before [s]."""
         probe = math.inf if self.clock is None else min(self.clock.next_probe, self._greeting_probe)
-        first = min(probe, self._status_due, self.queries.deadline)
+        first = min(probe, self._status_due, self.queries.deadline, self.settings.deadline)
         if self._request is None:
             return -math.inf if self._requests else first
         return min(first, self._next_try)
+
+    # Currents
+
+    @property
+    def measures(self) -> bool:
+        """Whether the amplifier has agreed to send windows of correlated currents."""
+        return isinstance(self.settings.answer, m.Ack)
+
+    def ask_for_windows(self, milliseconds: int) -> None:
+        """Ask for windows of CORRELATION, if the amplifier has the feature.
+
+        Parameters
+        ----------
+        milliseconds : int
+            Length of a window [ms].
+        """
+        if self.caps.features & Feature.CORRELATES:
+            setting = m.Set(self.host.session, m.Parameter.CORRELATION_MS, milliseconds)
+            self.settings.request(setting)
 
     # Clock
 

@@ -56,6 +56,10 @@ class Queries:
         self._request, self.answer = self._host.request(message), None
         self._tries_left, self._next_try = TRIES, -math.inf
 
+    def forget(self) -> None:
+        """Drop the request and its answer."""
+        self._request, self.answer, self._next_try = None, None, math.inf
+
     def poll(self, now: float) -> list[Packet]:
         """Return what is to be sent now.
 

@@ -23,6 +23,7 @@ from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
 from tactile.bus.base import Wiring
 from tactile.bus.budget import Plan, check_limits
+from tactile.bus.correlations import WindowDecoder, WindowQueue
 from tactile.bus.link.notes import LinkNotes
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import Goal, SessionPhase
@@ -84,6 +85,11 @@ class LinkSession:
     lead : float or None
         Time by which samples are sent before they are put out [s]; None for one that adapts to
         underruns.
+    windows : WindowQueue or None
+        Queue that takes the windows of CORRELATION; by default one of its own.
+    correlation_ms : int
+        Length of the windows that amplifiers are asked for, as far as they correlate [ms]; 0 for
+        none.
 
     Attributes
     ----------
@@ -125,8 +131,12 @@ class LinkSession:
         nodes: Sequence[int] = (),
         rearm: bool = False,
         lead: float | None = None,
+        windows: WindowQueue | None = None,
+        correlation_ms: int = 0,
     ) -> None:
         self.wiring, self.token, self.rearm, self._lead = wiring, token, rearm, lead
+        self._windows, self._correlation_ms = windows or WindowQueue(), correlation_ms
+        self._decoders = dict[int, WindowDecoder]()  # by the nodes of the amplifiers
         self.peers = [Peer(token, node) for node in nodes]
         self.plan: Plan | None = None
         self.stream: LinkStream | None = None
@@ -134,7 +144,6 @@ class LinkSession:
         self.trouble = self.refusal = self.last_fault = ""
         self.fragments, self.notes = FragmentWatch(), LinkNotes()
         self.error: InputError | None = None
-        self.tripped = False
         self.carriers: Floats = np.zeros(0)
         self._choose, self._counters = choose, counters
         self._caps: dict[int, m.Caps] = {}
@@ -144,7 +153,7 @@ class LinkSession:
         self._until = self._wire_free = self._known_to_run = -math.inf
         self._first: int | None = None
         """Position that START is to play first; None once it has been acknowledged."""
-        self._quick = self._owes_heartbeat = self._gave_up = False
+        self.tripped = self._quick = self._owes_heartbeat = self._gave_up = False
         self._heartbeat = -math.inf
         """Host time of the last HEARTBEAT [s]."""
         self._seq = 0
@@ -352,6 +361,8 @@ class LinkSession:
                 known[packet.node].receive(packet, now)
                 if packet.type == m.Log.TYPE and (log := m.Log.unpack(packet.payload)) is not None:
                     self.notes.add_log(packet.node, log, now)
+                elif packet.type == m.Correlation.TYPE:
+                    self._add_window(known[packet.node], packet, now)
             elif self.peers and packet.type in (m.Pulse.TYPE, m.Status.TYPE):
                 self.notes.add_stranger(packet.node, known, now)
             elif self.phase is SessionPhase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
@@ -362,6 +373,19 @@ class LinkSession:
             self._control(self.stream, now)
         reports = [peer.host.status for peer in self.peers if peer.host.status is not None]
         self.fragments.update(dropped + sum(status.fragments_dropped for status in reports), now)
+
+    def _add_window(self, peer: Peer, packet: Packet, now: float) -> None:
+        """Pass a window of CORRELATION on; one that nobody asked for, or before START, is wrong."""
+        message = m.Correlation.unpack(packet.payload)
+        decoder = self._decoders.get(peer.host.node)
+        if message is None or decoder is None or not self._correlation_ms:
+            self._windows.counters.faults += 1
+            return
+        first = sum(each.caps.channels for each in self.peers[: self.peers.index(peer)])
+        position = peer.position_of(message.position, now)
+        window = decoder.decode(message, peer.caps, position, first)
+        if window is not None:
+            self._windows.add(window)
 
     def _control(self, stream: LinkStream, now: float) -> None:
         """Let the stream count what was reported, and note the first credit that is wrong."""
@@ -486,6 +510,14 @@ class LinkSession:
                 peer.request(*(messages() if messages is not None else []))
         if phase is SessionPhase.START:
             self._starting(now)
+        elif phase is SessionPhase.ARM:
+            self._ask_for_windows()
+
+    def _ask_for_windows(self) -> None:
+        """Ask amplifiers for windows of CORRELATION that have not answered that yet."""
+        for peer in self.peers:
+            if self._correlation_ms and peer.settings.answer is None:
+                peer.ask_for_windows(self._correlation_ms)
 
     def _greeting(self) -> list[Message]:
         """Return the requests that take an amplifier; first of all ESTOP, if that is the goal."""
@@ -524,6 +556,10 @@ class LinkSession:
         if self._first is None:
             time = self.stream.due(position)
         starts = self.stream.begin(position, time, fade_in=self._first is None)
+        self._decoders = {
+            peer.host.node: WindowDecoder(self._windows.counters, start.position)
+            for peer, start in zip(self.peers, starts, strict=False)
+        }
         for peer, start in zip(self.peers, starts, strict=True):
             peer.request(start)
 
@@ -581,6 +617,8 @@ class LinkSession:
             return
         for peer in self.peers:
             peer.greeted()
+            peer.settings.forget()
+        self._ask_for_windows()
         if self.plan is None:
             try:
                 self._fit([peer.caps for peer in self.peers])

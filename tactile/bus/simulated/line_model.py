@@ -19,6 +19,7 @@ import numpy as np
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import Frame
 from firmware_protocol.config import AmplifierConfig
+from firmware_protocol.correlation import Sensor
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.ports import CanPort, I2cPort, SerialPort
 from tactile.bus.can_bus import CanChannel
@@ -261,6 +262,9 @@ class ModelSetup(NamedTuple):
         Relative deviation of each amplifier's clock; positive for a fast one.
     seed : int
         Seed of the faults.
+    sensor : callable
+        Function that takes the index of an amplifier and returns a new sensor of its currents, or
+        None if it does not measure.
     """
 
     configs: list[AmplifierConfig]
@@ -268,6 +272,7 @@ class ModelSetup(NamedTuple):
     clock: Clock
     drift: list[float]
     seed: int = 0
+    sensor: Callable[[int], Sensor | None] = lambda board: None
 
 
 class Model(ABC):
@@ -302,7 +307,7 @@ class Model(ABC):
     resent = False
 
     def __init__(self, setup: ModelSetup) -> None:
-        self.configs, self.faults, self.clock, self.drift, seed = setup
+        self.configs, self.faults, self.clock, self.drift, seed, self._sensor = setup
         faults = self.faults
         self.random = np.random.default_rng(seed)
         outward = Medium()
@@ -326,7 +331,10 @@ class Model(ABC):
 
     def _power_up(self) -> None:
         self.report_output()
-        self.amplifiers = [ReferenceAmplifier(config) for config in self.configs]
+        self.amplifiers = [
+            ReferenceAmplifier(config, self._sensor(board))
+            for board, config in enumerate(self.configs)
+        ]
         self._powered_at = [self.clock.now()] * len(self.configs)
         self.attach()
 

@@ -10,16 +10,19 @@ coding of the samples.
 
 import math
 import threading
+from dataclasses import replace
 
 import numpy as np
 from msgspec.structs import fields
 
+from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
 from tactile.bus.output import OutputRecord
 from tactile.bus.registry import Address, register_bus
+from tactile.bus.simulated.current_sensor import CurrentModel, CurrentSensor, SensorDesign
 from tactile.bus.simulated.modeled_bus import MockOptions, open_modeled
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import InputError
@@ -38,6 +41,13 @@ class MockBus(Bus):
         Format of the samples on the line.
     clock : Clock
         Clock of the host, by which `due` counts from the start.
+    currents : CurrentModel or None
+        Load of all channels, whose currents the amplifier measures; None for one that does not. It
+        is called with all that is put out, in every state.
+    sensor : SensorDesign
+        How the amplifier measures them.
+    correlation_ms : int
+        Length of the windows of correlated currents [ms]; 0 for none.
 
     Attributes
     ----------
@@ -47,8 +57,8 @@ class MockBus(Bus):
     Raises
     ------
     InputError
-        If the protocol cannot carry the sample rate, or 0 V cannot be reached in time within the
-        slew limit.
+        If the protocol cannot carry the sample rate, 0 V cannot be reached in time within the slew
+        limit, or currents are to be measured by more than one amplifier.
     """
 
     on_host_death = "ramps"
@@ -61,6 +71,9 @@ class MockBus(Bus):
         keep: str = "second",
         sample_format: SampleFormat = SampleFormat.PCM16,
         clock: Clock = MONOTONIC,
+        currents: CurrentModel | None = None,
+        sensor: SensorDesign = SensorDesign(),  # noqa: B008
+        correlation_ms: int = 0,
     ) -> None:
         super().__init__(wiring, clock)
         self._kept = math.inf if keep == "all" else wiring.sample_rate
@@ -73,10 +86,35 @@ class MockBus(Bus):
             min(MOST_CHANNELS, wiring.channels - first)
             for first in range(0, wiring.channels, MOST_CHANNELS)
         ]
+        if currents is not None and len(widths) > 1:
+            raise InputError(f"{wiring.channels} channels: currents of {MOST_CHANNELS} at most")
         self.boards = [
-            Board(config_of(wiring, width, node), sample_format)
+            self._board(config_of(wiring, width, node), sample_format, currents, sensor)
             for node, width in enumerate(widths, 1)
         ]
+        self._correlates = currents is not None and correlation_ms > 0
+        if self._correlates:
+            self.boards[0].ask_for_windows(correlation_ms)
+
+    def _board(
+        self,
+        config: AmplifierConfig,
+        sample_format: SampleFormat,
+        currents: CurrentModel | None,
+        design: SensorDesign,
+    ) -> Board:
+        """Return an amplifier, with a sensor if there is a load to measure."""
+        if currents is None:
+            return Board(config, sample_format)
+        full_scale = config.full_scale_uv * 1e-6
+        sensor = CurrentSensor(currents, design, channels=config.channels, full_scale=full_scale)
+        measuring = replace(config, sense_ranges_ua=design.ranges_ua)
+        return Board(measuring, sample_format, sensor, self._windows)
+
+    @property
+    def correlates(self) -> bool:
+        """Whether the amplifier measures currents, and was asked for their correlations."""
+        return self._correlates
 
     @property
     def output(self) -> Floats:
@@ -156,6 +194,10 @@ class MockBus(Bus):
         self._record.add(volts)
 
 
+WITHOUT_LINK = ("keep", "format", "rearm", "load_pf", "correlation_ms")
+"""Options that need no link."""
+
+
 def open_mock(
     address: Address[MockOptions],
     display: DisplayLike,
@@ -190,13 +232,20 @@ def open_mock(
         return open_modeled(options, display, sample_rate)
     for option in fields(options):
         changed = getattr(options, option.name) != option.default
-        if changed and option.name not in ("keep", "format", "rearm"):
+        if changed and option.name not in WITHOUT_LINK:
             raise InputError(f"mock: {option.name}: needs link=serial, can, canfd or i2c")
     if options.format == "spectrum":
         raise InputError("mock: format = 'spectrum': needs link=serial, can, canfd or i2c")
     wiring = Wiring.of(display, sample_rate or RATE)
     kind = options.sample_format or SampleFormat.PCM16
-    return MockBus(wiring, keep=options.keep, sample_format=kind, clock=clock)
+    return MockBus(
+        wiring,
+        keep=options.keep,
+        sample_format=kind,
+        clock=clock,
+        currents=options.load(wiring.channels),
+        correlation_ms=options.correlation_ms or 0,
+    )
 
 
 register_bus("mock", open_mock, MockOptions)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta
 
+from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import FULL_SCALE_CODE, State
 from firmware_protocol.player import distance
@@ -26,6 +27,12 @@ from tactile.bus.link.session import MOVING
 from tactile.bus.options import Keep
 from tactile.bus.output import OutputRecord
 from tactile.bus.serial_bus import SerialWire
+from tactile.bus.simulated.current_sensor import (
+    CapacitiveLoad,
+    CurrentModel,
+    CurrentSensor,
+    SensorDesign,
+)
 from tactile.bus.simulated.line_model import (
     CanModel,
     Faults,
@@ -48,8 +55,9 @@ Interval = Annotated[float, Meta(ge=0.01, le=1e9)]
 class MockOptions(LinkOptions, frozen=True, kw_only=True):
     """Options of a URL ``mock:?option=value&…``.
 
-    Without ``link`` only ``keep``, ``format`` and ``rearm`` may be given. With it packets go over a
-    modeled link that takes time and fails as the other options request.
+    Without ``link`` only ``keep``, ``format``, ``rearm``, ``load_pf`` and ``correlation_ms`` may be
+    given. With it packets go over a modeled link that takes time and fails as the other options
+    request.
 
     Attributes
     ----------
@@ -86,6 +94,9 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
         Number of amplifiers.
     seed : int
         Seed of the faults.
+    load_pf : float or None
+        Capacitance of each channel, whose current the amplifiers measure [pF]; by default they do
+        not measure.
     """
 
     keep: Keep = "second"
@@ -104,6 +115,22 @@ class MockOptions(LinkOptions, frozen=True, kw_only=True):
     drift_ppm: Annotated[float, Meta(ge=-20000, le=20000)] = 0.0
     boards: Annotated[int, Meta(ge=1, le=16)] = 1
     seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
+    load_pf: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+
+    def load(self, channels: int) -> CurrentModel | None:
+        """Return the load of an amplifier.
+
+        Parameters
+        ----------
+        channels : int
+            Number of its channels.
+
+        Returns
+        -------
+        CurrentModel or None
+            Equal capacitors; None if the amplifier does not measure.
+        """
+        return None if self.load_pf is None else CapacitiveLoad(self.load_pf * 1e-12, channels)
 
     @property
     def medium(self) -> Link:
@@ -298,6 +325,7 @@ def open_modeled(
     return ModeledBus(
         wiring, model, connect, planner(options, display, sample_rate),
         keep=options.keep, rearm=options.rearm, lead=options.lead,
+        correlation_ms=options.correlation_ms or 0,
     )  # fmt: skip
 
 
@@ -326,14 +354,16 @@ def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
     link, boards = options.medium, options.boards
     drift = options.drift_ppm * 1e-6
     width = -(wiring.channels // -boards)
+    ranges = SensorDesign().ranges_ua if options.load_pf is not None else ()
     configs = [
-        config_of(wiring, width, node, rates=RATES, fifo_ms=options.fifo_ms)
+        config_of(wiring, width, node, rates=RATES, fifo_ms=options.fifo_ms, sense_ranges_ua=ranges)
         for node in range(1, boards + 1)
     ]
     setup = ModelSetup(
         configs, _faults(options), clock,
         drift=[drift * k for k in range(1, boards + 1)],
         seed=options.seed,
+        sensor=lambda board: _sensor(options, configs[board], options.seed + board),
     )  # fmt: skip
     if isinstance(link, Can):
         return CanModel(link, setup)
@@ -342,6 +372,16 @@ def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
     if boards > 1:
         raise InputError(f"mock: boards = {boards}: one on a serial line")
     return SerialModel(link, setup)
+
+
+def _sensor(options: MockOptions, config: AmplifierConfig, seed: int) -> CurrentSensor | None:
+    """Return the sensor of an amplifier; None if it does not measure."""
+    load = options.load(config.channels)
+    if load is None:
+        return None
+    full_scale = config.full_scale_uv * 1e-6
+    design = SensorDesign(seed=seed)
+    return CurrentSensor(load, design, channels=config.channels, full_scale=full_scale)
 
 
 def _faults(options: MockOptions) -> Faults:

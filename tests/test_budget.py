@@ -21,11 +21,12 @@ from tactile.bus.budget import (
     Plan,
     packets_of,
     plan,
+    reply_use,
     spectrum_group,
     table,
     use,
 )
-from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited, Usb
+from tactile.bus.wire_time import Can, I2c, Link, Uart, Unlimited, Usb, fd_estimate
 from tactile.errors import InputError
 
 PCM16, PCM12, BFP8, SPECTRUM8 = SampleFormat
@@ -41,6 +42,44 @@ CODINGS += [Coding(SPECTRUM8, 8000, 16, 50.0), Coding(SPECTRUM8, 8000, 8, 100.0)
 
 
 # By hand
+
+
+def test_windows_of_currents_by_hand() -> None:
+    """Two packets of 451 B for 24 channels, 454 with COBS and 0x00, 40 times a second.
+
+    On CAN FD each takes 7 frames of 64 bytes and one of 16.
+    """
+    windows, total = reply_use(Uart(3e6), 24, EVERYTHING, 25)
+    assert windows == pytest.approx(10 * 2 * 454 * 40 / 3e6)
+    assert total - windows == pytest.approx(10 * (18 * 100 + 34 / 0.249577) / 3e6)
+    frames = [*[fd_estimate(64, "mean")] * 7, fd_estimate(16, "mean")]
+    seconds = sum(frame.seconds(1e6, 5e6) for frame in frames)
+    fd = Can(1e6, 5e6)
+    assert reply_use(fd, 24, EVERYTHING, 25)[0] == pytest.approx(2 * seconds * 40)
+    coding = Coding(BFP8, 8000)
+    beside = use(fd, 24, EVERYTHING, coding, 32, 25) - use(fd, 24, EVERYTHING, coding, 32)
+    assert beside == pytest.approx(2 * seconds * 40)
+    assert use(Uart(3e6), 4, EVERYTHING, coding, 32, 25) == use(
+        Uart(3e6), 4, EVERYTHING, coding, 32
+    )
+
+
+def test_the_budget_makes_room_for_windows_of_currents() -> None:
+    """PCM12 takes 69 of 70 % of CAN FD; with windows of 25 ms it is too much, and BFP8 follows."""
+    fd = Can(1e6, 5e6)
+    assert plan(fd, 24).sample_format == PCM12
+    beside = plan(fd, 24, correlation_ms=25)
+    assert beside.sample_format == BFP8
+    assert beside.use <= fd.cap
+    assert [row.fits for row in table(fd, 24, correlation_ms=25)][:3] == [False, False, True]
+
+
+def test_replies_that_do_not_fit_their_own_direction_are_refused() -> None:
+    with pytest.raises(BudgetError, match=r"no room for windows of 10 ms.* 98 % of their"):
+        plan(Uart(115200), 2, correlation_ms=10)
+    assert plan(Uart(115200), 2, correlation_ms=25).sample_rate
+    rows = table(Uart(115200), 2, correlation_ms=10)
+    assert all(row.most == 1 for row in rows[-2:])
 
 
 def test_what_a_uart_of_1_mbit_carries_by_hand() -> None:

@@ -29,6 +29,17 @@ def test_the_budget_marks_what_will_be_sent(command: Command) -> None:
     assert rows[0][-2:] == ["too", "much"]
 
 
+def test_the_budget_counts_windows_of_currents(command: Command) -> None:
+    """PCM12 no longer fits beside them."""
+    url = "can:socketcan/can0?fd=true&correlation_ms=25"
+    result = command("budget", "reference-24", url)
+    lines = result.out.splitlines()
+    assert lines[1].strip() == "Windows of 25 ms of currents take 8.6% of the way back"
+    assert [line.split()[0] for line in lines if "chosen" in line] == ["BFP8"]
+    told = json.loads(command("budget", "reference-24", url, "--json").out)
+    assert 0.08 < told["correlation_use"] < told["reply_use"] < 0.1
+
+
 def test_the_budgets_plan_is_what_an_amplifier_on_that_link_gets(command: Command) -> None:
     url = "mock:?link=serial&bit_rate=3000000"
     told = json.loads(command("budget", "reference-24", url, "--json").out)

@@ -4,16 +4,17 @@ A coding is a sample format, or spectrum frames, at a rate and for a number of c
 
 The budget includes all that the host sends regularly: PCM or spectrum packets as the encoders make
 them, HEARTBEAT and TIME. On media that both directions share, CAN and I²C, it also includes PULSE
-and TIME_REPLY of each amplifier. It does not include requests and the eight time probes before a
-start. The number of CAN's stuff bits is the mean for random data. A part of the wire remains free
-(`Link.cap`): for the stuff bits of quiet drive (the maximum on CAN is a fifth more), for
-repetitions after errors, and for the jitter of the host.
+and TIME_REPLY of each amplifier, and CORRELATION if that is asked for. Where replies have a
+direction of their own, they are held against that. Requests and the eight time probes before a
+start are not included. The number of CAN's stuff bits is the mean for random data. A part of the
+wire remains free (`Link.cap`): for the stuff bits of quiet drive (the maximum on CAN is a fifth
+more), for repetitions after errors, and for the jitter of the host.
 """
 
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,6 +22,7 @@ import numpy as np
 
 from firmware_protocol import messages as m
 from firmware_protocol.clock import INTERVAL
+from firmware_protocol.correlation import ENTRY, CompleteWindow, messages_of
 from firmware_protocol.host import pcm
 from firmware_protocol.messages import HEARTBEAT_MS, PACKET_MAX, SampleFormat
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
@@ -282,6 +284,70 @@ def _codings(rates: Sequence[int]) -> Iterator[Coding]:
         yield Coding(SampleFormat.SPECTRUM8, rates[0], carriers, frame_rate)
 
 
+@lru_cache(maxsize=64)
+def correlations_of(channels: int, limit: int) -> tuple[bytes, ...]:
+    """Return the packets in which one amplifier sends a window of correlated currents.
+
+    The content of the entries is zero.
+
+    Parameters
+    ----------
+    channels : int
+        Number of channels of the amplifier.
+    limit : int
+        Largest size of a packet [bytes].
+
+    Returns
+    -------
+    tuple of bytes
+        Packets.
+    """
+    window = CompleteWindow(0, 1, bytes(ENTRY.itemsize * channels))
+    return tuple(_packet(message) for message in messages_of(window, 1, limit))
+
+
+def _correlation_use(
+    link: Link, ability: "Ability", channels: int, milliseconds: int, seconds: Callable[..., float]
+) -> float:
+    """Return the fraction of a link that windows of some channels on one amplifier take."""
+    if not milliseconds:
+        return 0.0
+    packets = correlations_of(channels, packet_limit(link, ability))
+    return sum(map(seconds, packets)) / (milliseconds * 1e-3)
+
+
+def reply_use(
+    link: Link, channels: int, ability: "Ability", correlation_ms: int = 0
+) -> tuple[float, float]:
+    """Return the fraction of the direction to the host that amplifiers take.
+
+    Parameters
+    ----------
+    link : Link
+        Link to the amplifiers.
+    channels : int
+        Number of channels of the display.
+    ability : Ability
+        Abilities of the amplifiers.
+    correlation_ms : int
+        Length of the windows of correlated currents [ms]; 0 for none.
+
+    Returns
+    -------
+    correlations : float
+        Fraction that CORRELATION takes, of the wire where both directions share it.
+    total : float
+        Fraction that this takes with PULSE and TIME_REPLY.
+    """
+    pulses = link.reply_seconds(_packet(m.Pulse())) / PULSE_INTERVAL
+    each = pulses + link.reply_seconds(_packet(m.TimeReply())) / INTERVAL
+    windows = others = 0.0
+    for share in ability.shares(channels):
+        windows += _correlation_use(link, ability, share, correlation_ms, link.reply_seconds)
+        others += each
+    return windows, windows + others
+
+
 @lru_cache(maxsize=16)
 def _overhead(link: Link) -> float:
     """Return the fraction of a link that each amplifier takes in addition to its stream."""
@@ -310,7 +376,14 @@ def packet_limit(link: Link, ability: Ability) -> int:
     return min(link.largest(), ability.packet_limit)
 
 
-def use(link: Link, channels: int, ability: Ability, coding: Coding, samples: int) -> float:
+def use(
+    link: Link,
+    channels: int,
+    ability: Ability,
+    coding: Coding,
+    samples: int,
+    correlation_ms: int = 0,
+) -> float:
     """Return the fraction of the wire that a coding takes.
 
     Parameters
@@ -325,6 +398,8 @@ def use(link: Link, channels: int, ability: Ability, coding: Coding, samples: in
         Coding of the drive.
     samples : int
         Number of samples in a packet.
+    correlation_ms : int
+        Length of the windows of correlated currents [ms]; 0 for none.
 
     Returns
     -------
@@ -337,17 +412,19 @@ def use(link: Link, channels: int, ability: Ability, coding: Coding, samples: in
         if not packets:
             return math.inf
         stream = sum(map(link.mean_seconds, packets)) * coding.sample_rate / samples
-        total += boards * (stream + _overhead(link))
+        back = _correlation_use(link, ability, share, correlation_ms, link.answer_seconds)
+        total += boards * (stream + back + _overhead(link))
     return total
 
 
-def _most(link: Link, ability: Ability, coding: Coding) -> int:
+def _most(link: Link, ability: Ability, coding: Coding, correlation_ms: int) -> int:
     """Return how many channels fit with the longest packets, on as many boards as needed."""
     board = ability.channels[-1] if ability.channels else BOARD_CHANNELS
     longest, highest, top = coding.packet_samples[-1], MOST_BOARDS * board, 1
 
     def load(channels: int) -> float:
-        return use(link, channels, ability, coding, longest)
+        back = reply_use(link, channels, ability, correlation_ms)[1] if correlation_ms else 0.0
+        return max(use(link, channels, ability, coding, longest, correlation_ms), back)
 
     while top < highest and load(top) <= link.cap:
         top = min(2 * top, highest)
@@ -441,12 +518,13 @@ class BudgetError(InputError):
 
 @dataclass(frozen=True)
 class _Case:
-    """Channels, amplifiers and band for which a coding is to be found on a link."""
+    """Channels, amplifiers, band and windows for which a coding is to be found on a link."""
 
     link: Link
     channels: int
     ability: Ability
     band: float
+    correlation_ms: int = 0
 
     def __post_init__(self) -> None:
         above_zero("band", self.band, "Hz")
@@ -466,14 +544,17 @@ class _Case:
         They are those of the shortest packets that fit, or of the longest if none fit.
         """
         for samples in coding.packet_samples:
-            fraction = use(self.link, self.channels, self.ability, coding, samples)
+            fraction = use(
+                self.link, self.channels, self.ability, coding, samples, self.correlation_ms
+            )
             if fraction <= self.link.cap:
                 break
         return samples, fraction
 
     def row(self, coding: Coding) -> BudgetRow:
         """Return the assessment of a coding."""
-        fraction, most = self.packet(coding)[1], _most(self.link, self.ability, coding)
+        fraction = self.packet(coding)[1]
+        most = _most(self.link, self.ability, coding, self.correlation_ms)
         return BudgetRow(coding.name, coding.sample_rate, fraction, most, self.why_not(coding))
 
     def why_not(self, coding: Coding) -> str:
@@ -482,12 +563,23 @@ class _Case:
         The text is a predicate with the coding as its subject.
         """
         fraction, cap = self.packet(coding)[1], self.link.cap
-        reason = self.unable(coding)
+        reason = self.unable(coding) or self.crowded()
         if not reason and fraction == math.inf:
             reason = "does not go into packets so small, not even of one channel"
         if not reason and fraction > cap:
             reason = f"takes {100 * fraction:.0f} % of the wire, {100 * cap:.0f} % may be used"
         return reason
+
+    def crowded(self) -> str:
+        """Return why the direction to the host cannot carry the windows; empty if it can."""
+        windows, total = reply_use(self.link, self.channels, self.ability, self.correlation_ms)
+        if not windows or total <= self.link.cap:
+            return ""
+        return (
+            f"leaves no room for windows of {self.correlation_ms} ms, with which amplifiers take "
+            f"{100 * total:.0f} % of their direction, of which {100 * self.link.cap:.0f} % may be "
+            "used"
+        )
 
     def unable(self, coding: Coding) -> str:
         """Return why the amplifiers cannot play a coding on any link; empty if they can."""
@@ -525,7 +617,12 @@ class _Case:
 
 
 def table(
-    link: Link, channels: int, ability: Ability | None = None, *, band: float = 1000.0
+    link: Link,
+    channels: int,
+    ability: Ability | None = None,
+    *,
+    band: float = 1000.0,
+    correlation_ms: int = 0,
 ) -> list[BudgetRow]:
     """Assess each coding on a link, in the order in which `plan` tries them.
 
@@ -539,6 +636,8 @@ def table(
         Abilities of the amplifiers; unlimited if None.
     band : float
         Band that the samples must carry [Hz].
+    correlation_ms : int
+        Length of the windows of correlated currents [ms]; 0 for none.
 
     Returns
     -------
@@ -550,7 +649,7 @@ def table(
     InputError
         If the band is not above 0, or there is no channel.
     """
-    case = _Case(link, channels, ability or Ability(), band)
+    case = _Case(link, channels, ability or Ability(), band, correlation_ms)
     return [case.row(coding) for coding in _codings(case.rates())]
 
 
@@ -562,6 +661,7 @@ def plan(
     sample_rate: float | None = None,
     sample_format: SampleFormat | None = None,
     band: float = 1000.0,
+    correlation_ms: int = 0,
 ) -> Plan:
     """Choose the best coding that fits a link.
 
@@ -582,6 +682,8 @@ def plan(
         The only acceptable format; None to choose it.
     band : float
         Band that the samples must carry [Hz].
+    correlation_ms : int
+        Length of the windows of correlated currents [ms]; 0 for none.
 
     Returns
     -------
@@ -595,7 +697,7 @@ def plan(
     InputError
         If the rate is not a whole number above 0, the band is not above 0, or there is no channel.
     """
-    case = _Case(link, channels, ability or Ability(), band)
+    case = _Case(link, channels, ability or Ability(), band, correlation_ms)
     if sample_rate is not None and not (sample_rate > 0 and float(sample_rate).is_integer()):
         raise InputError(f"sample rate {sample_rate:g} Hz: must be a whole number above 0")
     rates = case.rates() if sample_rate is None else [int(sample_rate)]

@@ -440,6 +440,21 @@ class Link(ABC):
         """
         return 0.0
 
+    def reply_seconds(self, packet: bytes) -> float:
+        """Return the time that a packet of an amplifier takes in its own direction.
+
+        Parameters
+        ----------
+        packet : bytes
+            Packet of the protocol, CRC-32 included.
+
+        Returns
+        -------
+        float
+            Time [s]; that of `answer_seconds` where both directions share the wire.
+        """
+        return self.answer_seconds(packet) or self.mean_seconds(packet)
+
     def largest(self) -> int:
         """Return the largest size that a packet should have.
 

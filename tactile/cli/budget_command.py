@@ -30,19 +30,26 @@ def run(
 
     Example: tactile budget reference-24 "can:socketcan/can0?fd=true"
     """
-    from tactile.bus.budget import BudgetError, plan, table
+    from tactile.bus.budget import Ability, BudgetError, plan, reply_use, table
+    from tactile.bus.registry import parse
     from tactile.devices import link_at
 
     loaded, link = tactile.load_display(display), link_at(url)
+    window: int = getattr(parse(url).options, "correlation_ms", None) or 0
     chosen = None
     with suppress(BudgetError):
-        chosen = plan(link, loaded.channels, band=band_hz)
-    rows = table(link, loaded.channels, band=band_hz)
+        chosen = plan(link, loaded.channels, band=band_hz, correlation_ms=window)
+    rows = table(link, loaded.channels, band=band_hz, correlation_ms=window)
     title = f"{loaded.channels} channels on {link.name}, of which {link.cap:.0%} may be used"
+    windows, replies = reply_use(link, loaded.channels, Ability(), window)
+    if window:
+        title += f"\nWindows of {window} ms of currents take {windows:.1%} of the way back"
     facts = {
         "link": link.name,
         "channels": loaded.channels,
         "cap": link.cap,
+        "correlation_use": windows,
+        "reply_use": replies,
         "plan": None if chosen is None else asdict(chosen),
         "rows": [asdict(row) | {"fits": row.fits} for row in rows],
     }

@@ -6,7 +6,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from firmware_protocol import messages as m
-from firmware_protocol.messages import SampleFormat
+from firmware_protocol.messages import Feature, SampleFormat
 from tactile.bus.base import RATE, DisplayLike, Wiring
 from tactile.bus.board import config_of
 from tactile.bus.budget import Ability, Plan, plan
@@ -118,9 +118,11 @@ def planner(
 
     def choose(caps: Sequence[m.Caps]) -> Plan:
         ability = Ability.of(caps)
+        measures = any(each.features & Feature.CORRELATES for each in caps)
         return plan(
             options.medium, display.channels, ability,
             sample_rate=sample_rate, sample_format=options.sample_format,
+            correlation_ms=(options.correlation_ms or 0) if measures else 0,
         )  # fmt: skip
 
     return choose

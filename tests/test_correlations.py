@@ -62,6 +62,13 @@ def play(bus: Bus, volts: Floats) -> list[CorrelationWindow]:
     return windows + bus.take_correlations()
 
 
+def assert_counted(bus: Bus, windows: int) -> None:
+    """See that so many windows came, and nothing was wrong with them."""
+    disturbed = bus.correlation_counters.disturbed
+    expected = CorrelationCounters(windows=windows, disturbed=disturbed)
+    assert bus.correlation_counters == expected
+
+
 def steps_of(volts: Floats) -> Floats:
     """Return the steps of the drive (S, C) at each lag (S, 16, C), of 0 V before the start."""
     steps = np.diff(np.vstack([np.zeros((17, volts.shape[1])), volts]), axis=0)
@@ -107,7 +114,7 @@ def test_windows_are_those_of_what_was_put_out(link: str) -> None:
     assert all(w.current_range == pytest.approx(2.5e-3) for w in windows)
     assert_gapless(windows, 2)
     assert_of_capacitors(windows, output, rate)
-    assert bus.correlation_counters == CorrelationCounters(windows=len(windows))
+    assert_counted(bus, len(windows))
 
 
 def test_boards_share_the_channels_of_a_display() -> None:
@@ -119,7 +126,7 @@ def test_boards_share_the_channels_of_a_display() -> None:
         (0, 12), (12, 3), (15, 12), (27, 3),
     }  # fmt: skip
     assert_gapless(windows, 30)
-    assert bus.correlation_counters == CorrelationCounters(windows=len(windows))
+    assert_counted(bus, len(windows))
 
 
 @pytest.mark.parametrize(
@@ -130,7 +137,7 @@ def test_nothing_comes_unless_it_is_measured_and_asked_for(url: str) -> None:
     with open_bus(url, Panel(channels=2)) as bus:
         assert not bus.correlates
         assert play(bus, noise(1000, 2)) == []
-    assert bus.correlation_counters == CorrelationCounters()
+    assert_counted(bus, 0)
 
 
 def test_a_current_beyond_the_range_is_flagged() -> None:
@@ -196,7 +203,25 @@ def test_only_the_newest_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
         bus.stop()
         assert [w.position for w in bus.take_correlations()] == [1200, 1400, 1600, 1800]
         assert bus.take_correlations() == []
-    assert bus.correlation_counters == CorrelationCounters(windows=10, dropped=6)
+    counters = bus.correlation_counters
+    assert (counters.windows, counters.dropped, counters.faults) == (10, 6, 0)
+
+
+@pytest.mark.parametrize("link", ["none", "serial"])
+def test_a_drive_that_was_not_what_was_written_is_told(link: str) -> None:
+    """Samples that are missing, and steps beyond the slew limit: 6.25 V at 8 kHz."""
+    with open_bus(LINKS[link], Panel(channels=2)) as bus:
+        windows = play(bus, noise(3000, 2, peak=3.0))
+        assert windows
+        assert bus.correlation_counters.disturbed == 0
+        bus.start()
+        bus.write(DriveBlock(0, noise(800, 2, peak=3.0)))
+        bus.write(DriveBlock(810, noise(3200, 2, peak=3.0)))
+        before = bus.correlation_counters.disturbed
+        bus.write(DriveBlock(4010, noise(3200, 2, peak=30.0)))
+        bus.stop()
+    assert 10 <= before < 20
+    assert bus.correlation_counters.disturbed > 3000
 
 
 # Bad messages

@@ -85,6 +85,9 @@ class Board:
             message = self.host.receive(packet)
             if isinstance(message, m.Correlation):
                 self._add_window(message)
+        if self.amplifier.config.sense_ranges_ua:
+            counters = self.amplifier.counters
+            self._windows.counters.disturbed = counters.lost_samples + counters.limited_samples
 
     def _add_window(self, message: m.Correlation) -> None:
         """Add a window of correlated currents to the queue, if it is right."""

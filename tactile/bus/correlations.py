@@ -78,12 +78,17 @@ class CorrelationCounters:
         Messages that cannot be right, and windows that overlap others.
     gaps : int
         Windows before which others are missing.
+    disturbed : int
+        Samples that the amplifiers limited or bridged, or had not in time, as far as they have
+        reported: where this rises, the drive of the windows was not what was written. On a link
+        amplifiers report each quarter of a second.
     """
 
     windows: int = 0
     dropped: int = 0
     faults: int = 0
     gaps: int = 0
+    disturbed: int = 0
 
 
 class WindowQueue:

@@ -59,6 +59,8 @@ class Peer:
         Number of samples that were too late for the amplifier, since then.
     credit_faults : int
         Number of PULSEs with a credit that cannot be right, since then.
+    disturbed : int
+        Number of samples that were bridged, not there in time, or limited, since then.
     ledger : OutputLedger
         Count of the positions that the amplifier has put out.
     begun : int
@@ -75,10 +77,12 @@ class Peer:
         self.last_received = -math.inf
         self.refused: m.Nak | None = None
         self.lost = False
-        self.underruns = self.late = self.credit_faults = 0
+        self.underruns = self.late = self.credit_faults = self.disturbed = 0
         self.ledger = OutputLedger()
         self._late_seen: int | None = None
         """Latest value of the amplifier's counter of late samples."""
+        self._disturbed_seen: int | None = None
+        """Latest sum of its counters of lost and limited samples."""
         self._underruns_seen: int | None = None
         """Latest value of its counter of underruns."""
         self._outdated_until = -math.inf
@@ -201,6 +205,9 @@ class Peer:
         self._state = message.state if known else self._state
         if isinstance(message, m.Status):
             self._add_counts(message.underruns, message.late_samples)
+            disturbed = message.lost_samples + message.limited_samples
+            self.disturbed += rise(disturbed, self._disturbed_seen)
+            self._disturbed_seen = disturbed
             self._status_seen = True
         elif self._status_seen and self._underruns_seen is not None:
             self._add_counts(

@@ -371,6 +371,7 @@ class LinkSession:
                     self._caps[packet.node] = caps
         if self.stream is not None:
             self._control(self.stream, now)
+        self._windows.counters.disturbed = sum(peer.disturbed for peer in self.peers)
         reports = [peer.host.status for peer in self.peers if peer.host.status is not None]
         self.fragments.update(dropped + sum(status.fragments_dropped for status in reports), now)
 

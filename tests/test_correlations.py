@@ -266,6 +266,24 @@ def test_what_overlaps_or_cannot_be_is_counted(
     assert (counters.faults, counters.gaps) == (faults, gaps)
 
 
+def test_windows_are_in_si_units() -> None:
+    """A current code is 2.5 mA / 32767, a sample code 100 V / 32767; of exponent 3, q = 7 is 56."""
+    entries = np.zeros(2, ENTRY)
+    entries["exponent"], entries["sums"], entries["energy"] = (3, 0), 7, 2 << 10 | 600
+    entries["flags"] = 1, 0
+    counters = CorrelationCounters()
+    message = window(40, 1, 2, entries=entries.tobytes())
+    found = WindowDecoder(counters, 40).decode(message, CAPS, -3, 20)
+    assert found is not None
+    unit = 2.5e-3 / 32767 * 100 / 32767
+    assert found.sums == pytest.approx(np.array([[56.0] * 16, [7.0] * 16]) * unit)
+    assert found.rounding == pytest.approx(np.array([4.0, 0.0]) * unit)
+    assert found.energy == pytest.approx(np.array([2400.0, 2400.0]) * (2.5e-3 / 32767) ** 2)
+    assert found.current_range == pytest.approx(2.5e-3)
+    assert found.clipped.tolist() == [True, False]
+    assert (found.position, found.samples, found.first_channel) == (-3, 100, 21)
+
+
 def test_a_window_that_nobody_asked_for_is_counted() -> None:
     """An amplifier that sends one after another session's SET; the host has asked for none."""
     bus = cast(ModeledBus, open_bus("mock:?link=serial&load_pf=100", Panel(channels=2)))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from c_amplifier_rig import SOURCE, compiler
 from protocol_traces import CONFIGS, LOADS_PF, Loads, Rig, packet, replay
 
 from firmware_protocol import correlation
@@ -433,3 +434,24 @@ def test_ranges_that_the_virtual_amplifier_does_not_take(
     command = [str(virtual_amplifier), "--replay", "--sense-ranges-ua", option]
     done = subprocess.run(command, input=b"", capture_output=True, check=False)
     assert (done.returncode, b"--sense-ranges-ua" in done.stderr) == (1, True)
+
+
+@pytest.mark.ci
+def test_an_amplifier_may_be_built_without_windows(tmp_path: Path) -> None:
+    """With TA_CORRELATES 0 a board has neither feature nor parameters, whatever its HAL has."""
+    folder = tmp_path / "build"
+    command = ["make", "-C", str(SOURCE), f"BUILD={folder}", f"CC={compiler()}"]
+    subprocess.run(
+        [*command, "CFLAGS=-O1 -DTA_CORRELATES=0", "virtual-amplifier"],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    scene = Scene()
+    for parameter in (SENSE_MS, CORRELATION_MS, SENSE_RANGE_UA):
+        scene.tell("GET", parameter)
+    scene.rig.end()
+    _, sent = replay(folder / "virtual-amplifier", MEASURES, scene.rig.records, tmp_path)
+    caps, value, *naks = [m.MESSAGES[p[0]].unpack(p[4:-4]) for p in sent if p[0] != 0x45]
+    assert isinstance(caps, m.Caps)
+    assert caps.features == Feature.SENSES | Feature.ESTOP_INPUT
+    assert value == m.Value(SENSE_MS, 0)
+    assert [n.detail for n in naks if isinstance(n, m.Nak)] == [CORRELATION_MS, SENSE_RANGE_UA]

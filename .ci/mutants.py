@@ -72,7 +72,7 @@ TESTS = {
     "study/load_fit": "test_load_fit",
     "study/sweep": "test_study_pieces test_study test_study_running",
     "bus/correlations": "test_correlations",
-    "c/tactile_correlator": "test_protocol_correlation test_protocol_vectors_c",
+    "c/tactile_correlator": "test_protocol_correlation test_protocol_vectors_c test_c_amplifier",
     "c/tactile_amplifier": AMPLIFIER,
     "c/tactile_link": AMPLIFIER,
     "c/tactile_player": AMPLIFIER,

@@ -438,7 +438,7 @@ def test_ranges_that_the_virtual_amplifier_does_not_take(
 
 @pytest.mark.ci
 def test_an_amplifier_may_be_built_without_windows(tmp_path: Path) -> None:
-    """With TA_CORRELATES 0 a board has neither feature nor parameters, whatever its HAL has."""
+    """A board with TA_CORRELATES 0 has neither feature nor parameters, whatever its HAL has."""
     folder = tmp_path / "build"
     command = ["make", "-C", str(SOURCE), f"BUILD={folder}", f"CC={compiler()}"]
     subprocess.run(

@@ -494,6 +494,36 @@ static void test_replies(void)
     }
 }
 
+/* As many channels as there is room for. The drive steps by 100 at the third of four samples, and the
+ * current of channel k is k: the step is 0 samples before that one, and 1 before the last. */
+static void test_correlator(void)
+{
+    static ta_correlator c;
+    static int16_t codes[TA_CHANNELS];
+    static int16_t currents[TA_CHANNELS];
+    uint8_t entry[TA_ENTRY];
+    ta_correlator_start(&c, TA_CHANNELS);
+    CHECK(!ta_correlator_add(&c, currents)); /* none is under way */
+    ta_correlator_open(&c, 7, 4);
+    for (int16_t n = 0; n < 4; n++) {
+        for (size_t k = 0; k < TA_CHANNELS; k++) {
+            codes[k] = n < 2 ? 0 : 100;
+            currents[k] = (int16_t)k;
+        }
+        ta_correlator_played(&c, codes);
+        ta_correlator_open(&c, 9, 2); /* one is */
+        CHECK(ta_correlator_add(&c, currents) == (n == 3));
+    }
+    CHECK(c.position == 7 && c.samples == 4);
+    for (size_t k = 0; k < TA_CHANNELS; k++) {
+        ta_correlator_entry(&c, k, entry);
+        CHECK(entry[0] == 0 && entry[1] == 0);
+        for (size_t lag = 0; lag < TP_LAGS; lag++) {
+            CHECK(tp_get_le(entry, sizeof entry, 4 + 2 * lag, 2) == (lag < 2 ? 100 * k : 0));
+        }
+    }
+}
+
 int main(void)
 {
     static const size_t rooms[] = {8, 32, 64};
@@ -516,6 +546,7 @@ int main(void)
     test_samples();
     test_bfp8();
     test_player();
+    test_correlator();
     test_configuration();
     test_replies();
     test_input_is_read_at_instants();

@@ -19,7 +19,7 @@ from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import FollowingEqualizer
 from tactile.sensing.baseline import Baseline, fit_baseline
 from tactile.sensing.bender import Bender, Deviations
-from tactile.sensing.correlation import AFTER, LAGS, MARGIN, lag_sums
+from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow, lag_sums
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import Estimate, LoadEstimator
 from tactile.sensing.excitation import (
@@ -31,7 +31,7 @@ from tactile.sensing.excitation import (
     pilot_phases,
 )
 from tactile.sensing.inverse_mix import InverseMix
-from tactile.sensing.population import Population, load_stiffness
+from tactile.sensing.population import Population
 
 RATE = 8000.0
 """Sample rate [Hz]."""
@@ -43,8 +43,10 @@ AHEAD = 2.5
 """Time from the middle of a window to the end of the cross-fade that it leads to [windows]."""
 FREQUENCY = np.arange(10.0, 1001.0, 10.0)
 """Frequencies at which played shear is compared with commanded shear [Hz]."""
-CODE = 100 / 32767
-"""Volts of a sample code at a full scale of 100 V."""
+VOLTAGE = 100.0
+"""Voltage limit and full scale of the display [V]."""
+CODE = VOLTAGE / 32767
+"""Volts of a sample code."""
 PERIODS = 8
 """Number of periods over which the calibration averages, after one in which the plant settles."""
 VARIED_SCALE, VARIED_SHAPE = 0.15, 0.10
@@ -62,8 +64,10 @@ class Case:
     ----------
     fingers : int
         Number of fingers.
+    array : Baseline
+        Baseline of the contactors under one finger, measured in air.
     baseline : Baseline
-        Baseline of each contactor, measured in air.
+        The same for all contactors.
     tolerances : PlantTolerances
         Deviations of the contactors.
     logarithms : (N, 4) array of float
@@ -71,6 +75,7 @@ class Case:
     """
 
     fingers: int
+    array: Baseline
     baseline: Baseline
     tolerances: PlantTolerances
     logarithms: Floats
@@ -127,12 +132,12 @@ def draw_case(
         one.bender,
         Deviations(tiled(deviations.stiffness), tiled(deviations.coupling), tiled(deviations.loss)),
         tiled(one.skew), np.concatenate([one.capacitance] * fingers), tiled(one.resonance),
-        tiled(one.residual),
+        tiled(one.residual), one.faults * fingers,
     )  # fmt: skip
     tolerances = PlantTolerances(
         tiled(t.stiffness), tiled(t.coupling), tiled(t.mass), tiled(t.cable)
     )
-    return Case(fingers, baseline, tolerances, logarithms)
+    return Case(fingers, one, baseline, tolerances, logarithms)
 
 
 def swinging(period: float) -> Callable[[Floats], Floats]:
@@ -179,7 +184,10 @@ def level(taps: Floats, response: Complex) -> Floats:
 
 
 class Loop:
-    """A texture on many contactors, with an equalizer that follows each load.
+    """A texture under several fingers, with an equalizer that follows the load of each contactor.
+
+    Each finger has an estimator of its own, as on a display. There is no limiter; `beyond` says how
+    much of the drive a display of ±100 V could not play.
 
     Parameters
     ----------
@@ -195,6 +203,8 @@ class Loop:
         Duration.
     rounded : bool
         Whether the lag sums are rounded to 16 bits, as the amplifier sends them.
+    piloted : bool
+        Whether the pilot plays beside the texture.
     """
 
     def __init__(
@@ -206,17 +216,20 @@ class Loop:
         force: Callable[[Floats], Floats] = steady,
         seconds: float = 2.0,
         rounded: bool = True,
+        piloted: bool = True,
     ) -> None:
-        self.case, self._force, self._rounded = case, force, rounded
+        self.case, self.force, self._rounded, self._piloted = case, force, rounded, piloted
         self._converter, n = converter, len(case.logarithms)
         self.plant = SensingPlant(
             Fingers(*np.exp(case.logarithms).T), case.tolerances,
             converter=converter, sample_rate=RATE, seed=5,
         )  # fmt: skip
         population = Population.assumed()
-        model = CurrentModel(case.baseline, population, RATE)
+        model = CurrentModel(case.array, population, RATE)
         noise = converter.step * float(np.hypot(converter.noise, 1 / np.sqrt(12)))
-        self.estimator = LoadEstimator(model, population, noise=noise)
+        self._estimators = [
+            LoadEstimator(model, population, noise=noise) for _ in range(case.fingers)
+        ]
         self.mix = InverseMix(case.baseline, RATE, taps=TAPS, delay=DELAY)
         self._shear = stroke_shear(texture, seconds, n // case.fingers).astype(np.float32)
         self._phases = pilot_phases(n)
@@ -224,6 +237,12 @@ class Loop:
         self._equalizer, self._taps, self._next = FollowingEqualizer(start), start, start
         self._drive = np.zeros((AFTER + 1 + 2 * WINDOW, n))
         self._current = np.zeros((2 * WINDOW, n))
+        self._beyond: list[float] = []
+
+    @property
+    def beyond(self) -> float:
+        """Part of all samples of the drive so far that are beyond ±100 V."""
+        return float(np.mean(self._beyond))
 
     def run(self) -> Iterator[Moment]:
         """Play, and yield three moments of each window."""
@@ -234,60 +253,74 @@ class Loop:
             self._play(begin)
             for share in (0.2, 0.6, 1.0):
                 time = (begin + share * WINDOW) / RATE
-                scale = np.sqrt(self._force(np.full(len(before), time)))
+                scale = np.sqrt(self.force(np.full(len(before), time)))
                 response = self.plant.response(FREQUENCY, scale)
                 faded = (1 - np.cos(np.pi * share)) / 2
                 taps = before + faded * (self._taps - before)
                 yield Moment(time, level(taps, response), estimate)
             if begin >= 2 * WINDOW:
-                estimate = self.estimator.update(*self._window(), WINDOW, resolution=self._steps)
-                self._next = self.mix.taps(self.estimator.ahead(AHEAD))
+                estimate = self._estimate(self._window())
+                ahead = np.concatenate([each.ahead(AHEAD) for each in self._estimators])
+                self._next = self.mix.taps(ahead)
+
+    def _estimate(self, window: SumWindow) -> Estimate:
+        """Update the estimator of each finger, and return all estimates as one."""
+        columns = [window.sums, window.steps, window.resolution, window.valid]
+        parts = zip(*(np.split(column, self.case.fingers) for column in columns), strict=True)
+        estimates = [
+            estimator.update(SumWindow(*part))
+            for estimator, part in zip(self._estimators, parts, strict=True)
+        ]
+        return Estimate(
+            np.concatenate([each.logarithms for each in estimates]),
+            np.concatenate([each.covariance for each in estimates]),
+            np.concatenate([each.inconsistency for each in estimates]),
+        )
 
     def _play(self, begin: int) -> None:
         """Play the drive of a window."""
         n = len(self._taps)
         shear = np.tile(self._shear[begin : begin + WINDOW], (1, self.case.fingers))
         drive = self._equalizer(shear, np.zeros(len(shear))).astype(np.float64)
-        drive += pilot(begin, len(shear), RATE, self._phases)
+        if self._piloted:
+            drive += pilot(begin, len(shear), RATE, self._phases)
+        self._beyond.append(float(np.mean(np.abs(drive) > VOLTAGE)))
         time = (begin + np.arange(len(shear)) - REACH) / RATE
-        scale = np.sqrt(self._force(np.maximum(time, 0)))
+        scale = np.sqrt(self.force(np.maximum(time, 0)))
         _, current = self.plant.step(drive, np.repeat(scale[:, None], n, axis=1))
         self._drive = np.concatenate([self._drive, drive])[len(drive) :]
         self._current = np.concatenate([self._current, current])[len(current) :]
 
-    def _window(self) -> tuple[Floats, Floats]:
-        """Return lag sums and steps of the window before the one that was played last."""
+    def _window(self) -> SumWindow:
+        """Return the window before the one that was played last."""
         end, late = len(self._drive) - WINDOW, self.plant.delay
         steps = np.diff(self._drive[end - WINDOW - AFTER - 1 : end + MARGIN], axis=0).T
         current = self._current[late : late + WINDOW].T
         sums = lag_sums(current, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
         unit = self._converter.step * CODE
         largest = np.abs(sums).max(axis=1) / (32767 * unit)
-        exponent = np.ceil(np.log2(np.maximum(largest, 1))) if self._rounded else 0 * largest
-        self._steps = unit * 2**exponent if self._rounded else np.zeros(len(sums))
+        resolution = unit * 2 ** np.ceil(np.log2(np.maximum(largest, 1)))
         if self._rounded:
-            sums = np.rint(sums / self._steps[:, None]) * self._steps[:, None]
-        return sums, steps
+            sums = np.rint(sums / resolution[:, None]) * resolution[:, None]
+        else:
+            resolution = 0 * resolution
+        return SumWindow(sums, steps, resolution, np.ones(len(sums), np.bool_))
 
 
 def references(loop: Loop, time: float) -> dict[str, Floats]:
     """Compute the errors (N, F) of filters that do not follow, at a time [dB].
 
     They are the equalizer as shipped (the display's own bender and finger), filters for calibrated
-    benders under the mean of the population, and filters for the true load.
+    benders under the mean of the population, and the same for the true load.
     """
     case = loop.case
-    scale = np.sqrt(loop._force(np.full(len(case.logarithms), time)))
+    scale = np.sqrt(loop.force(np.full(len(case.logarithms), time)))
     response = loop.plant.response(FREQUENCY, scale)
     mean = np.tile(Population.assumed().mean, (len(scale), 1))
     true = case.logarithms + np.log(scale)[:, None]
     nominal = tactile.load_display("reference-24").responses(FREQUENCY, RATE)[0, 0]
-    force, stiffness = case.baseline.tip(FREQUENCY)
     return {
         "as shipped": np.asarray(DECIBEL * np.log(np.abs(response / nominal))),
         "population mean": level(loop.mix.taps(mean), response),
-        "known finger": np.asarray(
-            DECIBEL
-            * np.log(np.abs(response * (stiffness + load_stiffness(true, FREQUENCY)) / force))
-        ),
+        "known finger": level(loop.mix.taps(true), response),
     }

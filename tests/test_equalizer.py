@@ -462,3 +462,10 @@ def test_change_during_a_cross_fade_does_not_jump() -> None:
     second = follower(constant, np.zeros(100))
     largest = np.abs(after.sum(axis=1) - before.sum(axis=1)) * np.pi / 2 / 200
     assert np.all(np.abs(second[0] - first[-1]) <= largest * 1.05)
+
+
+def test_filters_of_another_number_are_refused() -> None:
+    """Replace the filters of five contactors by those of one."""
+    before, after, _ = following_case()
+    with pytest.raises(ValueError, match=r"taps of shape \(1, 32\): must be \(5, 32\) as before"):
+        FollowingEqualizer(before).replace(after[:1], 200)

@@ -5,6 +5,8 @@ The figures on 40 fingers are measured by ``python -m benchmarks sensing``; here
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sensing_rig import exact_baseline, random_loads, tolerant_plant
@@ -13,7 +15,8 @@ from benchmarks.sensing import by_finger
 from benchmarks.sensing_loop import RATE, WINDOW, Loop, draw_case, references, steady, swinging
 from benchmarks.sensing_plant import Converter
 from tactile.arrays import Floats
-from tactile.sensing.correlation import AFTER, LAGS, MARGIN, lag_sums, step_products
+from tactile.sensing.baseline import Baseline
+from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow, lag_sums, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import FARTHEST, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
@@ -42,38 +45,40 @@ def model(loads: Floats) -> CurrentModel:
     return CurrentModel(exact_baseline(tolerant_plant(loads)), Population.assumed(), RATE)
 
 
-def sums_of(model: CurrentModel, loads: Floats, window: int, noise: float = 0.0) -> Floats:
-    """Return the sums of the model's own current under loads, with noise."""
+def window_of(
+    model: CurrentModel, loads: Floats, window: int, noise: float = NOISE, drift: float = 1.0
+) -> SumWindow:
+    """Return the window of the model's own current under loads, with noise and a capacitance."""
     steps = pilot_steps(window)
-    taps = model.electrical + model.weights(loads)[0] @ model.shared
+    taps = drift * model.electrical + model.weights(loads)[0] @ model.shared
     exact = np.einsum("nml,nm->nl", step_products(steps, WINDOW), taps)
     rng = np.random.default_rng(window)
     current = noise * rng.standard_normal((COUNT, WINDOW))
     measured = lag_sums(current, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
-    return np.asarray(exact + measured)
+    return SumWindow(exact + measured, steps, np.zeros(COUNT), np.ones(COUNT, np.bool_))
 
 
-def followed(model: CurrentModel, loads: Floats, windows: int) -> LoadEstimator:
+def followed(model: CurrentModel, loads: Floats, windows: int, drift: float = 1.0) -> LoadEstimator:
     """Return an estimator after some windows of the pilot alone."""
     estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
     for window in range(windows):
-        estimator.update(
-            sums_of(model, loads, window, NOISE), pilot_steps(window), WINDOW,
-            resolution=np.zeros(COUNT),
-        )  # fmt: skip
+        estimator.update(window_of(model, loads, window, drift=drift))
     return estimator
+
+
+def shear_error(baseline: Baseline, logarithms: Floats, loads: Floats) -> Floats:
+    """Return the errors (N, F) of the shear for loads that were found [dB]."""
+    _, stiffness = baseline.tip(FREQUENCY)
+    ratio = stiffness + load_stiffness(logarithms, FREQUENCY)
+    return np.asarray(20 * np.log10(np.abs(ratio / (stiffness + load_stiffness(loads, FREQUENCY)))))
 
 
 def test_pilot_alone_finds_the_dynamic_stiffness(model: CurrentModel, loads: Floats) -> None:
     """Follow loads for a second: the shear that they lead to is known as well as is stated."""
     estimator = followed(model, loads, 40)
-    estimate = estimator.update(
-        sums_of(model, loads, 40, NOISE), pilot_steps(40), WINDOW, resolution=np.zeros(COUNT)
-    )
+    estimate = estimator.update(window_of(model, loads, 40))
     baseline = exact_baseline(tolerant_plant(loads))
-    _, stiffness = baseline.tip(FREQUENCY)
-    ratio = stiffness + load_stiffness(estimate.logarithms, FREQUENCY)
-    error = 20 * np.log10(np.abs(ratio / (stiffness + load_stiffness(loads, FREQUENCY))))
+    error = shear_error(baseline, estimate.logarithms, loads)
     stated = shear_deviation(baseline, estimate.logarithms, estimate.covariance)
     assert np.all(np.sqrt(np.mean(error**2, axis=1)) < 3 * stated)
     assert np.median(np.abs(error)) < 1.0
@@ -98,13 +103,11 @@ def test_nonsense_is_named_and_bounded(model: CurrentModel, loads: Floats) -> No
     """Feed sums that no load explains: loads stay among fingers, and the inconsistency is high."""
     estimator = followed(model, loads, 12)
     rng = np.random.default_rng(0)
-    steps = pilot_steps(12)
+    window = window_of(model, loads, 12)
     for _ in range(20):
-        nonsense = lag_sums(
-            1e-3 * rng.standard_normal((COUNT, WINDOW)),
-            steps[:, AFTER - LAGS + 1 : AFTER + WINDOW],
-        )
-        estimate = estimator.update(nonsense, steps, WINDOW, resolution=np.zeros(COUNT))
+        noise = 1e-3 * rng.standard_normal((COUNT, WINDOW))
+        sums = lag_sums(noise, window.steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
+        estimate = estimator.update(replace(window, sums=sums))
     assert np.all(estimate.inconsistency > 3)
     population = Population.assumed()
     away = np.abs(estimate.logarithms - population.mean) / np.sqrt(np.diag(population.covariance))
@@ -116,12 +119,97 @@ def test_drive_at_rest_says_nothing(model: CurrentModel, amplitude: float) -> No
     """Feed windows without drive: the estimate stays that of the population."""
     estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
     steps = np.full((COUNT, AFTER + WINDOW + MARGIN), amplitude)
+    still = SumWindow(np.zeros((COUNT, LAGS)), steps, np.zeros(COUNT), np.ones(COUNT, np.bool_))
     for _ in range(5):
-        estimate = estimator.update(
-            np.zeros((COUNT, LAGS)), steps, WINDOW, resolution=np.zeros(COUNT)
-        )
+        estimate = estimator.update(still)
     np.testing.assert_allclose(estimate.logarithms, np.tile(Population.assumed().mean, (COUNT, 1)))
     assert np.all(np.isfinite(estimate.covariance))
+
+
+def test_capacitance_that_has_drifted_is_no_load(model: CurrentModel, loads: Floats) -> None:
+    """Raise all capacitances by 2 %; a finger that returns profits from what was learnt."""
+    baseline, drift = exact_baseline(tolerant_plant(loads)), 1.02
+    estimator = followed(model, loads, 40, drift)
+    error = shear_error(baseline, estimator.ahead(0), loads)
+    assert np.median(np.abs(error)) < 1.0
+    estimator.restart(np.ones(COUNT, bool))
+    fresh = LoadEstimator(model, Population.assumed(), noise=NOISE)
+    stated = []
+    for each in (estimator, fresh):
+        estimate = each.update(window_of(model, loads, 40, drift=drift))
+        stated.append(shear_deviation(baseline, estimate.logarithms, estimate.covariance))
+    assert np.median(stated[0] / stated[1]) < 0.9
+
+
+def test_load_beyond_all_fingers_is_clamped(model: CurrentModel) -> None:
+    """Follow loads of five standard deviations: a confident estimate must not leave fingers."""
+    population = Population.assumed()
+    deviation = np.sqrt(np.diag(population.covariance))
+    estimator = followed(model, np.tile(population.mean + 5 * deviation, (COUNT, 1)), 30)
+    away = (estimator.ahead(0) - population.mean) / deviation
+    assert away.max() == pytest.approx(FARTHEST, abs=0.3)
+    assert np.all(away < FARTHEST + 0.3)
+
+
+def test_rounding_of_the_sums_counts_as_noise(model: CurrentModel, loads: Floats) -> None:
+    """Round the sums coarsely: that is consistent only if the estimator is told."""
+    inconsistencies = []
+    for told in (True, False):
+        estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
+        for window in range(10):
+            exact = window_of(model, loads, window)
+            step = np.abs(exact.sums).max(axis=1) / 200
+            sums = np.rint(exact.sums / step[:, None]) * step[:, None]
+            resolution = step if told else 0 * step
+            estimate = estimator.update(replace(exact, sums=sums, resolution=resolution))
+        inconsistencies.append(np.median(estimate.inconsistency))
+    assert inconsistencies[0] < 2
+    assert inconsistencies[1] > 10
+
+
+@pytest.mark.parametrize("fault", ["not valid", "NaN"])
+def test_contactor_without_a_report_does_not_disturb_the_others(
+    model: CurrentModel, loads: Floats, fault: str
+) -> None:
+    """Leave out one contactor's sums for a while: it is named, and follows again afterwards."""
+    estimator = followed(model, loads, 12)
+    first = np.arange(COUNT) == 0
+    for number in range(12, 16):
+        window = window_of(model, loads, number)
+        if fault == "NaN":
+            window.sums[0, 3] = np.nan
+        else:
+            window = replace(window, valid=~first, sums=np.where(first[:, None], 1.0, window.sums))
+        estimate = estimator.update(window)
+        assert np.isinf(estimate.inconsistency[0])
+        assert np.all(estimate.inconsistency[1:] < 3)
+    for number in range(16, 20):
+        estimate = estimator.update(window_of(model, loads, number))
+    assert np.all(np.isfinite(estimator.ahead(2.5)))
+    assert np.all(estimate.inconsistency < 3)
+
+
+def test_an_estimate_stays_as_it_was(model: CurrentModel, loads: Floats) -> None:
+    """Restart after an estimate was returned."""
+    estimator = followed(model, loads, 3)
+    estimate = estimator.update(window_of(model, loads, 3))
+    logarithms, covariance = estimate.logarithms.copy(), estimate.covariance.copy()
+    estimator.restart(np.ones(COUNT, np.bool_))
+    np.testing.assert_array_equal(estimate.logarithms, logarithms)
+    np.testing.assert_array_equal(estimate.covariance, covariance)
+
+
+def test_restart_of_all_forgets_the_rate(model: CurrentModel, loads: Floats) -> None:
+    """Let the loads rise, then lift off: what is extrapolated must not rise any more."""
+    estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
+    for number in range(20):
+        estimator.update(window_of(model, loads + 0.05 * number, number))
+    rising = estimator.ahead(1) - estimator.ahead(0)
+    assert np.median(rising) == pytest.approx(0.05, rel=0.3)
+    estimator.restart(np.ones(COUNT, np.bool_))
+    for number in range(4):
+        estimator.update(window_of(model, loads, number))
+    assert np.abs(estimator.ahead(1) - estimator.ahead(0)).max() < 0.02
 
 
 @pytest.mark.ci

@@ -332,14 +332,12 @@ class FollowingEqualizer:
     ----------
     taps : (N, T) array of float
         Filter of each contactor, its polarity included [V/m].
-    past : (T − 1, N) array of float, optional
-        Shear before the first sample; by default the first sample's [m].
     """
 
-    def __init__(self, taps: Floats, *, past: Singles | None = None) -> None:
+    def __init__(self, taps: Floats) -> None:
         self._taps = self._next = taps
         self._maps = self._maps_before = _piece_maps(taps)
-        self._past = past
+        self._past: Singles | None = None
         self._done = self._length = 0
 
     def replace(self, taps: Floats, samples: int) -> None:
@@ -355,7 +353,14 @@ class FollowingEqualizer:
             Filter of each contactor [V/m].
         samples : int
             Length of the cross-fade, at least 1 [samples].
+
+        Raises
+        ------
+        ValueError
+            If the filters differ in number or length from those before.
         """
+        if taps.shape != self._taps.shape:
+            raise ValueError(f"taps of shape {taps.shape}: must be {self._taps.shape} as before")
         share = _cross_fade(self._done / self._length) if self._length else 1.0
         self._taps = self._taps + share * (self._next - self._taps)
         self._next, self._done, self._length = taps, 0, samples

@@ -22,6 +22,11 @@ ORDER = 6
 NEAR = 0.12
 """Distance from the resonance, relative to it, within which the capacitance is not fitted: there
 the mechanical part is large, and so are its errors."""
+PLAUSIBLE = {"stiffness": (0.7, 1.4), "d31": (0.5, 2.0), "mechanical loss": (0.3, 3.0)}
+"""Factors against the design between which a bender is plausible (assumed). A tip that is touched
+is stiffer and loses more; a channel without a bender has no d31."""
+LARGEST_RESIDUAL = 0.05
+"""Largest residual of a plausible fit (assumed); with noise of the converter it is 0.3 %."""
 SURROUNDINGS = 0.25
 """Distance from the resonance, relative to it, within which its parameters are fitted in full."""
 FAR_WEIGHT = 0.2
@@ -48,6 +53,8 @@ class Baseline:
         Resonance in air [Hz].
     residual : (N,) array of float
         Root mean square of what the fit leaves of the charge, relative to the capacitance.
+    faults : tuple of N str
+        Why the baseline of a channel must not be used; empty if it may be.
     """
 
     bender: Bender
@@ -56,6 +63,7 @@ class Baseline:
     capacitance: Complex
     resonance: Floats
     residual: Floats
+    faults: tuple[str, ...]
 
     def charge(self, frequency: Floats) -> Complex:
         """Compute the charge of the dielectric as it is measured.
@@ -129,14 +137,29 @@ def fit_baseline(frequency: Floats, admittance: Complex, bender: Bender) -> Base
     columns = [np.array(column) for column in zip(*fits, strict=True)]
     stiffness, coupling, loss, skew, capacitance, resonance, residual = columns
     return Baseline(
-        bender, Deviations(stiffness, coupling, loss), skew, capacitance, resonance, residual
-    )
+        bender, Deviations(stiffness, coupling, loss), skew, capacitance, resonance, residual,
+        tuple(_fault(*fit) for fit in zip(stiffness, coupling, loss, residual, strict=True)),
+    )  # fmt: skip
+
+
+def _fault(stiffness: float, coupling: float, loss: float, residual: float) -> str:
+    """Return why no bender in air draws such a current, or nothing."""
+    for name, factor in (("stiffness", stiffness), ("d31", coupling), ("mechanical loss", loss)):
+        lowest, highest = PLAUSIBLE[name]
+        if not lowest <= factor <= highest:
+            return f"{name} {factor:.2g} times the design's, not {lowest:g} … {highest:g} times"
+    if not residual <= LARGEST_RESIDUAL:
+        return f"current {100 * residual:.2g} % off that of a bender, above {LARGEST_RESIDUAL:.0%}"
+    return ""
 
 
 def _fit_one(
     frequency: Floats, charge: Complex, bender: Bender
 ) -> tuple[float, float, float, float, Complex, float, float]:
     """Fit one channel; return deviations, skew, capacitance, resonance and residual."""
+    if not (np.isfinite(charge).all() and charge.any()):
+        nothing = np.zeros(ORDER + 1, np.complex128)
+        return 1.0, 0.0, 1.0, 0.0, nothing, bender.resonance, np.inf
     nominal, size = bender.resonance, float(np.abs(charge).mean())
     near = np.abs(frequency / nominal - 1) < SURROUNDINGS
     weight = np.where(near, 1.0, FAR_WEIGHT) / size

@@ -3,11 +3,16 @@
 In a window of samples n the amplifier forms r_l = Σ_n i[n] d[n − l] of the current i and the steps
 d[n] = u[n] − u[n − 1] of the drive that it played, for a few lags l. Whatever the current's
 response h to a step is, the sums are r = Gᵀ h with G[m, l] = Σ_n d[n − m] d[n − l], which the host
-computes from the drive that it knows. The edges of the windows are therefore exact.
+computes from the drive that it knows, a little before and after the window too. The edges of the
+windows therefore make no error. The drive is taken as band-limited between samples: an amplifier
+needs a reconstruction filter, since after a stair-step the current depends on when it is sampled.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from tactile.arrays import Floats
 
@@ -20,6 +25,35 @@ AFTER = 240
 """Number of samples for which the current responds to a step: 30 ms at 8 kHz."""
 MARGIN = BEFORE + LAGS - 1
 """Number of steps after the window that the products need."""
+
+
+@dataclass(frozen=True)
+class SumWindow:
+    """Lag sums of a window, and the drive that they belong to.
+
+    Attributes
+    ----------
+    sums : (N, LAGS) array of float
+        Sums of the measured current of each contactor [A V].
+    steps : (N, AFTER + S + MARGIN) array of float
+        Steps of the drive, from `AFTER` samples before the window of S samples to `MARGIN` after it
+        [V].
+    resolution : (N,) array of float
+        Step to which the sums were rounded [A V].
+    valid : (N,) array of bool
+        Whether the sums may be used. They may not where the converter clipped, where the drive that
+        was played is not known, or where no report came.
+    """
+
+    sums: Floats
+    steps: Floats
+    resolution: Floats
+    valid: NDArray[np.bool_]
+
+    @property
+    def samples(self) -> int:
+        """Length of the window [samples]."""
+        return int(self.steps.shape[1]) - AFTER - MARGIN
 
 
 def lag_sums(current: Floats, steps: Floats) -> Floats:

@@ -118,9 +118,9 @@ def multisine(lines: Floats, sample_rate: float, *, capacitance: float, current:
         turning = np.zeros(len(time) // 2 + 1, np.complex128)
         at = np.rint(lines * PERIOD).astype(int)
         turning[at] = amplitude * np.exp(2j * np.pi * rng.random(len(lines))) * len(time) / 2
-        volts = np.fft.irfft(turning)
+        volts = np.fft.irfft(turning, len(time))
         turning[at] *= 1j * omega * capacitance
-        drawn = np.fft.irfft(turning)
+        drawn = np.fft.irfft(turning, len(time))
         over = max(np.abs(volts).max() / LARGEST, np.abs(drawn).max() / (FILLING * current))
         if over < best[1]:
             best = volts, over

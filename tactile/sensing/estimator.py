@@ -37,8 +37,8 @@ COMMON_DRIFT, OWN_DRIFT = 0.05, 0.01
 normal force changes all constants, and besides. A force that swings between 0.2 and 2 N every 1.5 s
 changes the logarithms by at most 0.06 in 25 ms if the load grows with its square root."""
 FORGETTING = 0.003
-"""Part of the population's covariance that each window adds, and part of the posterior that it
-takes away."""
+"""Part of the loads' prior covariance that each window adds, and part of the posterior that it takes
+away."""
 MODEL_ERROR = 0.003
 """Error of the model of the current, relative to it. Without it, errors of the baseline (0.1 % of
 the charge) count as information, and the estimate settles on a wrong finger."""
@@ -101,9 +101,9 @@ class LoadEstimator:
         self._prior = np.zeros((STATES, STATES))
         self._prior[:CONSTANTS, :CONSTANTS] = population.covariance
         self._prior[CONSTANTS, CONSTANTS] = CAPACITANCE_SPREAD**2
-        self._drift = np.zeros((STATES, STATES))
-        self._drift[:CONSTANTS, :CONSTANTS] = spread(COMMON_DRIFT, OWN_DRIFT)
-        self._drift[CONSTANTS, CONSTANTS] = CAPACITANCE_DRIFT**2
+        self._added = FORGETTING * self._prior
+        self._added[:CONSTANTS, :CONSTANTS] += spread(COMMON_DRIFT, OWN_DRIFT)
+        self._added[CONSTANTS, CONSTANTS] = CAPACITANCE_DRIFT**2
         self._reach = FARTHEST * np.sqrt(np.diag(self._prior))
         self._state = np.tile(self._mean, (n, 1))
         self._covariance = np.tile(self._prior, (n, 1, 1))
@@ -145,7 +145,7 @@ class LoadEstimator:
         before = self._state
         expected = np.concatenate([self.ahead(1), before[:, CONSTANTS:]], axis=1)
         state = expected
-        predicted = (1 - FORGETTING) * self._covariance + FORGETTING * self._prior + self._drift
+        predicted = (1 - FORGETTING) * self._covariance + self._added
         information = np.linalg.inv(predicted)
         rounds = FIRST_ITERATIONS if self._windows.min() < FIRST_WINDOWS else ITERATIONS
         for left in reversed(range(rounds)):

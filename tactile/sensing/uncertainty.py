@@ -1,4 +1,8 @@
-"""What the uncertainty of a load means for the shear that is played."""
+"""What the uncertainty of a load means for the shear that is played.
+
+The covariance of an estimate is that at the middle of its window. What changes until a filter for it
+plays is not contained.
+"""
 
 import numpy as np
 

@@ -8,6 +8,5 @@ tip and the dynamic stiffness k = jωZ_L of the load,
 so that charge q and shear u depend on the same load. The second term of the charge is a few percent
 of the first, which therefore is measured in air before (`baseline`). `estimator` follows the load
 of each contactor from the current while textures play, and `inverse_mix` makes the equalizer's
-filter from it. Everything here takes arrays and returns arrays; only the
-estimator has a state.
+filter from it. Everything here takes arrays and returns arrays; only the estimator has a state.
 """

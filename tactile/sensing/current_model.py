@@ -20,7 +20,7 @@ DRAWS = 400
 WIDER = 1.5
 """Factor by which these loads spread more than the population."""
 DAMPING = 1e-5
-"""Weight of the filters' size in their fit, relative to their largest singular value."""
+"""Weight in the fit that keeps the taps small, relative to the largest singular value."""
 
 
 LOWEST_RATE, HIGHEST_RATE = 6000.0, 16000.0

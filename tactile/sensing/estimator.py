@@ -37,11 +37,11 @@ COMMON_DRIFT, OWN_DRIFT = 0.05, 0.01
 normal force changes all constants, and besides. A force that swings between 0.2 and 2 N every 1.5 s
 changes the logarithms by at most 0.06 in 25 ms if the load grows with its square root."""
 FORGETTING = 0.003
-"""Part of the loads' prior covariance that each window adds, and part of the posterior that it takes
-away."""
+"""Part of the prior covariance of a load that each window adds, and part of the posterior that it
+takes away."""
 MODEL_ERROR = 0.003
-"""Error of the model of the current, relative to it. Without it, errors of the baseline (0.1 % of
-the charge) count as information, and the estimate settles on a wrong finger."""
+"""Error of the model of the current, relative to it, since errors of the baseline (0.1 % of the
+charge) are no information about the finger."""
 FIRST_WINDOWS = 7
 """Number of windows after a touch that get `FIRST_ITERATIONS`."""
 FIRST_ITERATIONS, ITERATIONS = 6, 2
@@ -54,7 +54,7 @@ SMALLEST = 1e-9
 """Smallest eigenvalue of the products of the steps that carries information, relative to the
 largest."""
 TINY = 1e-30
-"""Smallest eigenvalue at all, for a drive at rest [V²]."""
+"""Number added to the eigenvalues, so that a drive at rest has none of zero [V²]."""
 SETTLING_WINDOWS = 3
 """Number of windows after a touch whose changes say nothing about the rate of the load."""
 RATE_GAIN = 0.35

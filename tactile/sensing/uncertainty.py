@@ -1,7 +1,7 @@
 """What the uncertainty of a load means for the shear that is played.
 
-The covariance of an estimate is that at the middle of its window. What changes until a filter for it
-plays is not contained.
+The covariance of an estimate is that at the middle of its window. It does not contain what changes
+until a filter for it plays.
 """
 
 import numpy as np

@@ -61,6 +61,7 @@ def test_modes_give_the_response_of_all_elements(load: Load, scale: float) -> No
     assert degrees < 0.7
 
 
+@pytest.mark.ci
 @each_finger
 def test_steps_in_time_give_the_response_over_frequency(load: Load) -> None:
     """Compare settled sinusoids with the closed form of the same modes, shear and current."""
@@ -98,10 +99,11 @@ def test_static_load_shears_by_its_stiffness() -> None:
 def test_a_finger_that_returns_begins_without_force() -> None:
     """Let the finger leave and return to a bent tip, which must stay where it is."""
     plant = plant_under(HIGH_FINGER)
-    held = np.full((4000, len(SINES)), 10.0)
+    held = np.full((2400, len(SINES)), 10.0)  # free vibration decays by 50/s
     plant.step(held, 0 * held)
-    air, _ = plant.step(held[:2000], 0 * held[:2000])
-    touched, _ = plant.step(held[:2000], np.ones((2000, len(SINES))))
+    held = held[:400]
+    air, _ = plant.step(held, 0 * held)
+    touched, _ = plant.step(held, np.ones_like(held))
     np.testing.assert_allclose(touched[-1], air[-1], rtol=1e-3)
 
 

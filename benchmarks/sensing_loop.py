@@ -1,7 +1,8 @@
 """Textures played through an equalizer that follows the finger, on the finite-element plant.
 
-Everything but plant, texture and clock is the product's own: the calibration in air, the pilot, the
-lag sums as the amplifier reports them, the estimator, and the equalizer whose filters it replaces.
+Everything but plant and clock is the product's own: the texture, the calibration in air, the pilot,
+the sums as the reference amplifier reports them, the estimator, and the equalizer whose filters it
+replaces.
 A window ends 25 ms before the filters that it leads to begin to fade in, which take 25 ms more: the
 report takes its time, and the host renders ahead of the amplifier.
 """
@@ -10,16 +11,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 import tactile
 from benchmarks.sensing_plant import REACH, Converter, Fingers, PlantTolerances, SensingPlant
+from firmware_protocol.correlation import Correlator, decode, messages_of
+from firmware_protocol.messages import FULL_SCALE_CODE, PACKET_MAX
 from tactile.actuator.bimorph import Bimorph, capacitance
 from tactile.actuator.response import blocked_force
 from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import FollowingEqualizer
 from tactile.sensing.baseline import Baseline, fit_baseline
 from tactile.sensing.bender import Bender, Deviations
-from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow, lag_sums
+from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import Estimate, LoadEstimator
 from tactile.sensing.excitation import (
@@ -45,7 +49,7 @@ FREQUENCY = np.arange(10.0, 1001.0, 10.0)
 """Frequencies at which played shear is compared with commanded shear [Hz]."""
 VOLTAGE = 100.0
 """Voltage limit and full scale of the display [V]."""
-CODE = VOLTAGE / 32767
+CODE = VOLTAGE / FULL_SCALE_CODE
 """Volts of a sample code."""
 PERIODS = 8
 """Number of periods over which the calibration averages, after one in which the plant settles."""
@@ -158,6 +162,16 @@ def stroke_shear(texture: str, seconds: float, contactors: int) -> Floats:
     return np.asarray(shear[round(0.5 * RATE) :, np.arange(contactors) % 24])
 
 
+def lag_sums(current: Floats, steps: Floats) -> Floats:
+    """Compute what an amplifier sends of a window, by the definition and in double precision.
+
+    Of the current (N, S) [A] and the steps (N, LAGS − 1 + S) of the drive [V], which begin LAGS − 1
+    samples before the window, it returns Σ_n i[n] d[n − l] for l = 0 … LAGS − 1 (N, LAGS) [A V].
+    """
+    delayed = sliding_window_view(steps, current.shape[1], axis=1)[:, ::-1]
+    return np.asarray(np.einsum("nls,ns->nl", delayed, current))
+
+
 @dataclass(frozen=True)
 class Moment:
     """Filters that play at a moment.
@@ -202,7 +216,7 @@ class Loop:
     seconds : float
         Duration.
     rounded : bool
-        Whether the lag sums are rounded to 16 bits, as the amplifier sends them.
+        Whether the sums are those of 16 bits that the amplifier sends, or in double precision.
     piloted : bool
         Whether the pilot plays beside the texture.
     """
@@ -237,6 +251,7 @@ class Loop:
         self._equalizer, self._taps, self._next = FollowingEqualizer(start), start, start
         self._drive = np.zeros((AFTER + 1 + 2 * WINDOW, n))
         self._current = np.zeros((2 * WINDOW, n))
+        self._correlator = Correlator(n)
         self._beyond: list[float] = []
 
     @property
@@ -258,8 +273,11 @@ class Loop:
                 faded = (1 - np.cos(np.pi * share)) / 2
                 taps = before + faded * (self._taps - before)
                 yield Moment(time, level(taps, response), estimate)
-            if begin >= 2 * WINDOW:
-                estimate = self._estimate(self._window())
+            if begin == 0:
+                continue
+            window = self._window()
+            if begin > WINDOW:  # the drive jumps at the beginning of the first window
+                estimate = self._estimate(window)
                 ahead = np.concatenate([each.ahead(AHEAD) for each in self._estimators])
                 self._next = self.mix.taps(ahead)
 
@@ -285,6 +303,7 @@ class Loop:
         if self._piloted:
             drive += pilot(begin, len(shear), RATE, self._phases)
         self._beyond.append(float(np.mean(np.abs(drive) > VOLTAGE)))
+        drive = np.rint(drive / CODE) * CODE
         time = (begin + np.arange(len(shear)) - REACH) / RATE
         scale = np.sqrt(self.force(np.maximum(time, 0)))
         _, current = self.plant.step(drive, np.repeat(scale[:, None], n, axis=1))
@@ -295,16 +314,28 @@ class Loop:
         """Return the window before the one that was played last."""
         end, late = len(self._drive) - WINDOW, self.plant.delay
         steps = np.diff(self._drive[end - WINDOW - AFTER - 1 : end + MARGIN], axis=0).T
-        current = self._current[late : late + WINDOW].T
-        sums = lag_sums(current, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
-        unit = self._converter.step * CODE
-        largest = np.abs(sums).max(axis=1) / (32767 * unit)
-        resolution = unit * 2 ** np.ceil(np.log2(np.maximum(largest, 1)))
+        current = self._current[late : late + WINDOW]
         if self._rounded:
-            sums = np.rint(sums / resolution[:, None]) * resolution[:, None]
+            sums, resolution = self._reported(self._drive[end - WINDOW : end], current)
         else:
-            resolution = 0 * resolution
+            sums = lag_sums(current.T, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
+            resolution = np.zeros(len(sums))
         return SumWindow(sums, steps, resolution, np.ones(len(sums), np.bool_))
+
+    def _reported(self, drive: Floats, current: Floats) -> tuple[Floats, Floats]:
+        """Return sums and their resolution as the reference amplifier reports them."""
+        amperes = self._converter.range / FULL_SCALE_CODE
+        codes, currents = (
+            np.rint(values / unit).astype(np.int64)
+            for values, unit in ((drive, CODE), (current, amperes))
+        )
+        (window,) = self._correlator.add(0, codes, currents, WINDOW)
+        range_ua = round(self._converter.range * 1e6)
+        parts = [decode(message) for message in messages_of(window, range_ua, PACKET_MAX)]
+        entries = [part for part in parts if part is not None]
+        sums = np.concatenate([part.sums for part in entries]) * (amperes * CODE)
+        rounding = np.concatenate([part.rounding for part in entries]) * (amperes * CODE)
+        return sums, 2 * rounding
 
 
 def references(loop: Loop, time: float) -> dict[str, Floats]:

@@ -13,7 +13,9 @@ import pytest
 from reference_beam import HIGH_FINGER, LOW_FINGER, Beam, Load, response
 from sensing_rig import CONTACTORS, exact_baseline, random_loads, tolerant_plant
 
-from benchmarks.sensing_loop import DELAY, FREQUENCY, RATE, TAPS, design, level
+from benchmarks.sensing_loop import DELAY, FREQUENCY, RATE, TAPS, design, lag_sums, level
+from firmware_protocol.correlation import Correlator, decode, messages_of
+from firmware_protocol.messages import PACKET_MAX
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import blocked_force
@@ -21,7 +23,7 @@ from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.sensing.baseline import fit_baseline
 from tactile.sensing.bender import Bender, Deviations
-from tactile.sensing.correlation import AFTER, BEFORE, LAGS, MARGIN, lag_sums, step_products
+from tactile.sensing.correlation import AFTER, BEFORE, LAGS, MARGIN, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.excitation import (
     FILLING,
@@ -286,3 +288,18 @@ def test_captures_that_are_no_bender_in_air_are_named() -> None:
     assert "d31" in baseline.faults[1] or "stiffness" in baseline.faults[1]
     assert baseline.faults[2]
     assert not baseline.faults[3]
+
+
+def test_amplifier_sends_the_sums_that_are_predicted() -> None:
+    """Let the reference amplifier correlate codes, and compare with the sums by the definition."""
+    rng = np.random.default_rng(0)
+    codes, currents = rng.integers(-20000, 20000, (2, LAGS + 200, 3))
+    correlator = Correlator(3)
+    correlator.add(0, codes[:LAGS], currents[:LAGS], 0)
+    (window,) = correlator.add(LAGS, codes[LAGS:], currents[LAGS:], 200)
+    (message,) = messages_of(window, 2500, PACKET_MAX)
+    entries = decode(message)
+    assert entries is not None
+    steps = np.diff(codes, axis=0).T.astype(np.float64)
+    sums = lag_sums(currents[LAGS:].T.astype(np.float64), steps)
+    assert np.all(np.abs(entries.sums - sums) <= entries.rounding[:, None])

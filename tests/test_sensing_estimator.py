@@ -12,11 +12,20 @@ import pytest
 from sensing_rig import exact_baseline, random_loads, tolerant_plant
 
 from benchmarks.sensing import by_finger
-from benchmarks.sensing_loop import RATE, WINDOW, Loop, draw_case, references, steady, swinging
+from benchmarks.sensing_loop import (
+    RATE,
+    WINDOW,
+    Loop,
+    draw_case,
+    lag_sums,
+    references,
+    steady,
+    swinging,
+)
 from benchmarks.sensing_plant import Converter
 from tactile.arrays import Floats
 from tactile.sensing.baseline import Baseline
-from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow, lag_sums, step_products
+from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import FARTHEST, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases

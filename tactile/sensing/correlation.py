@@ -1,4 +1,4 @@
-"""Sums of the measured current times the delayed steps of the drive, and their prediction.
+"""Prediction of the sums of the measured current times the delayed steps of the drive.
 
 In a window of samples n the amplifier forms r_l = Σ_n i[n] d[n − l] of the current i and the steps
 d[n] = u[n] − u[n − 1] of the drive that it played, for a few lags l. Whatever the current's
@@ -11,7 +11,6 @@ needs a reconstruction filter, since after a stair-step the current depends on w
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
@@ -54,25 +53,6 @@ class SumWindow:
     def samples(self) -> int:
         """Length of the window [samples]."""
         return int(self.steps.shape[1]) - AFTER - MARGIN
-
-
-def lag_sums(current: Floats, steps: Floats) -> Floats:
-    """Compute the sums of a window.
-
-    Parameters
-    ----------
-    current : (N, S) array of float
-        Measured current [A].
-    steps : (N, LAGS − 1 + S) array of float
-        Steps of the drive, beginning ``LAGS − 1`` samples before the window [V].
-
-    Returns
-    -------
-    (N, LAGS) array of float
-        Σ_n i[n] d[n − l] for l = 0 … LAGS − 1 [A V].
-    """
-    delayed = sliding_window_view(steps, current.shape[1], axis=1)[:, ::-1]
-    return np.asarray(np.einsum("nls,ns->nl", delayed, current))
 
 
 def step_products(steps: Floats, samples: int) -> Floats:

@@ -48,6 +48,8 @@ class AmplifierConfig:
     sense_ranges_ua : tuple of int
         Ranges of the current that CORRELATION measures, that at power-up first [µA]; empty for an
         amplifier that does not correlate.
+    current_delay : int
+        Number of instants by which currents are late, as converters and filters delay them (16.1).
     """
 
     channels: int = 24
@@ -67,6 +69,7 @@ class AmplifierConfig:
     node: int = 1
     estop_input: bool = True
     sense_ranges_ua: tuple[int, ...] = ()
+    current_delay: int = 0
 
 
 @dataclass(frozen=True)

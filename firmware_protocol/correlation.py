@@ -48,7 +48,8 @@ class Sensor(Protocol):
         Returns
         -------
         (S, C) array of int
-            Current codes of the same instants (16.1).
+            Current codes that are known at these instants (16.1): of the same ones, or of those
+            `AmplifierConfig.current_delay` before.
         """
 
     def readings(self) -> tuple[Ints, Ints]:
@@ -221,16 +222,20 @@ class Correlator:
     ----------
     channels : int
         Number of channels C.
+    delay : int
+        Number of instants by which currents are late, `AmplifierConfig.current_delay`.
     """
 
-    def __init__(self, channels: int) -> None:
-        self._channels = channels
+    def __init__(self, channels: int, delay: int = 0) -> None:
+        self._channels, self._delay = channels, delay
         self._left = self._samples = self._position = 0
         self.start()
 
     def start(self) -> None:
         """Forget the codes that were played and the window under way, as at START."""
-        self._past: Ints = np.zeros((LAGS, self._channels), np.int64)
+        self._past: Ints = np.zeros((LAGS + self._delay, self._channels), np.int64)
+        self._skipped = self._delay
+        """Number of instants to come whose currents are of instants before START."""
         self.stop()
 
     def stop(self) -> None:
@@ -247,7 +252,8 @@ class Correlator:
         codes : (S, C) array of int
             Sample codes that were put out.
         currents : (S, C) array of int
-            Current codes of the same instants; −32768 reads as −32767.
+            Current codes that are known at these instants, of instants ``delay`` before; −32768
+            reads as −32767.
         length : int
             Length of a window that begins in the run [samples]; 0 for none.
 
@@ -257,11 +263,13 @@ class Correlator:
             Windows that are complete.
         """
         played = np.concatenate([self._past, codes])
-        self._past = played[-LAGS:]
+        self._past = played[len(codes) :]
+        at = min(self._skipped, len(codes))
+        self._skipped -= at
         if not self._left and not length:
             return []
         steps, currents = np.diff(played, axis=0), np.maximum(currents, -FULL_SCALE_CODE)
-        complete, at = [], 0
+        position, complete = position - self._delay, []
         while at < len(codes) and (self._left or length):
             if not self._left:
                 self._begin(position + at, length)

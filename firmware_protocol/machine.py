@@ -164,7 +164,8 @@ class Machine:
 
     def _attach(self, sensor: Sensor | None) -> None:
         """Take the sensor, and the parameters that come with it."""
-        self._sensor, self._correlator = sensor, Correlator(self.config.channels)
+        self._sensor = sensor
+        self._correlator = Correlator(self.config.channels, self.config.current_delay)
         self._sensed: int | None = None
         self._last_position = 0
         if sensor is not None:

@@ -330,6 +330,7 @@ def replay(
         options |= {
             "sense-ranges-ua": ",".join(map(str, c.sense_ranges_ua)),
             "load-pf": ",".join(loads),
+            "current-delay": c.current_delay,
         }
     arguments = [str(a) for name, value in options.items() for a in (f"--{name}", value)]
     out, sent = at / "out", at / "sent"

@@ -8,6 +8,7 @@ with what the amplifier in C sends on the same trace.
 import struct
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
@@ -136,7 +137,7 @@ class Scene:
         positions, states = rows["position"].tolist(), rows["state"].tolist()
         ticks, codes, config = rows["tick"].tolist(), rows["codes"].tolist(), self.rig.config
         loads, changes, rate = Loads(config), list(self.changes), self.rig.amplifier.rate
-        present, played = changes.pop(0), dict[int, list[int]]()
+        present, played, late = changes.pop(0), dict[int, list[int]](), config.current_delay
         window: dict[int, list[int]] = {}
         length = 0
         for k, position in enumerate(positions):
@@ -151,10 +152,12 @@ class Scene:
                 window, played = {}, {}
                 continue
             played[position] = codes[k]
+            if len(played) <= late:
+                continue
             if not window:
                 length = min(present.milliseconds * rate // 1000, 65535)
             if length:
-                window[position] = currents
+                window[(position - late) % 2**32] = currents
             if length and len(window) == length:
                 entries = [
                     entry_of(column(played, c), column(window, c)) for c in range(config.channels)
@@ -176,9 +179,9 @@ def packets_of(window: tuple[int, int, int, list[Entry]], group: int) -> list[m.
     return messages
 
 
-def eventful(seed: int) -> Scene:
-    """Return a scene with all that may befall windows."""
-    scene = Scene(seed=seed)
+def eventful(seed: int, late: int) -> Scene:
+    """Return a scene with all that may befall windows, with currents late by some instants."""
+    scene = Scene(replace(MEASURES, current_delay=late), seed=seed)
     scene.set(CORRELATION_MS, 25)
     scene.start(2**32 - 57, delay_ms=7)
     scene.stream(130)
@@ -202,12 +205,12 @@ def eventful(seed: int) -> Scene:
     return scene
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "late"), [(0, 0), (1, 0), (2, 3), (3, 60)])
 def test_windows_are_the_sums_of_what_was_put_out(
-    seed: int, virtual_amplifier: Path, tmp_path: Path
+    seed: int, late: int, virtual_amplifier: Path, tmp_path: Path
 ) -> None:
     """The packet limit of 140 leaves room for 3 channels in a packet: 19 + 3 × 36 = 127."""
-    scene = eventful(seed)
+    scene = eventful(seed, late)
     expected = [message for window in scene.windows() for message in packets_of(window, 3)]
     assert scene.sent() == expected
     counters = scene.rig.amplifier.counters
@@ -219,7 +222,7 @@ def test_windows_are_the_sums_of_what_was_put_out(
     assert {(w.samples, w.range_ua) for w in expected} == {
         (50, 2500), (50, 300), (20, 300), (66, 65535),
     }  # fmt: skip
-    out, sent = replay(virtual_amplifier, MEASURES, scene.rig.records, tmp_path)
+    out, sent = replay(virtual_amplifier, scene.rig.config, scene.rig.records, tmp_path)
     assert scene.rig.out() == out
     assert scene.rig.sent == sent
 

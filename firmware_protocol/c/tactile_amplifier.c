@@ -26,7 +26,8 @@ static bool allowed(const ta_config *c, const ta_hal *hal)
 {
     bool guarded = hal->estop_open != NULL || c->full_scale_uv <= TP_UNGUARDED_MOST_UV;
     bool ranged = hal->currents == NULL || c->sense_range_ua > 0;
-    return guarded && ranged && c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
+    bool kept = c->current_delay < TA_CURRENT_DELAY + 1u;
+    return guarded && ranged && kept && c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
            c->carriers <= TA_CARRIERS && c->fifo_samples >= 2 && c->fifo_samples <= TA_FIFO &&
            c->packet_limit >= TA_PACKET_LEAST && c->packet_limit <= TA_PACKET_MAX &&
            c->tick_hz > 0 && c->rate_min_hz > 0 && c->rate_min_hz <= c->rate_max_hz &&
@@ -209,7 +210,7 @@ bool ta_correlates(const ta_amplifier *amp)
 
 void ta_correlation_start(ta_amplifier *amp)
 {
-    ta_correlator_start(&amp->correlator, amp->config.channels);
+    ta_correlator_start(&amp->correlator, amp->config.channels, amp->config.current_delay);
 }
 
 void ta_correlation_stop(ta_amplifier *amp)
@@ -267,8 +268,8 @@ static void correlate(ta_amplifier *amp, uint32_t position, bool come)
         ta_correlator_stop(c);
         return;
     }
-    ta_correlator_played(c, amp->player.codes);
-    if (c->left == 0 && amp->correlation_ms == 0) {
+    bool known = ta_correlator_played(c, amp->player.codes);
+    if (!known || (c->left == 0 && amp->correlation_ms == 0)) {
         return;
     }
     ta_correlator_open(c, position, window_samples(amp));

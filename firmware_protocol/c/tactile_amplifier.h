@@ -22,6 +22,7 @@ typedef struct {
     uint16_t packet_limit;
     uint16_t fifo_samples; /* at most TA_FIFO */
     uint16_t sense_range_ua; /* of the current at power-up, not 0 where the HAL has `currents` */
+    uint8_t current_delay;   /* instants by which its codes are late, at most TA_CURRENT_DELAY */
     uint32_t tick_hz;
     uint32_t rate_min_hz;
     uint32_t rate_max_hz; /* at most 1 MHz */

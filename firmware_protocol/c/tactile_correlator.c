@@ -4,10 +4,12 @@
 #define PLACES (TP_LAGS + 1u)
 #define ENERGY_MOST 1023u
 
-void ta_correlator_start(ta_correlator *c, uint8_t channels)
+void ta_correlator_start(ta_correlator *c, uint8_t channels, uint8_t delay)
 {
     memset(c, 0, sizeof *c);
     c->channels = channels;
+    c->delay = delay;
+    c->lacking = delay;
 }
 
 void ta_correlator_stop(ta_correlator *c)
@@ -15,12 +17,17 @@ void ta_correlator_stop(ta_correlator *c)
     c->left = 0;
 }
 
-void ta_correlator_played(ta_correlator *c, const int16_t *codes)
+bool ta_correlator_played(ta_correlator *c, const int16_t *codes)
 {
-    c->newest = (uint8_t)((c->newest + 1u) % PLACES);
+    c->newest = (uint8_t)((c->newest + 1u) % TA_CODES);
     for (size_t i = 0; i < c->channels; i++) {
         c->sums[i].codes[c->newest] = codes[i];
     }
+    if (c->lacking > 0) {
+        c->lacking--;
+        return false;
+    }
+    return true;
 }
 
 void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
@@ -28,7 +35,7 @@ void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
     if (c->left > 0) {
         return;
     }
-    c->position = position;
+    c->position = position - c->delay;
     c->samples = samples;
     c->left = samples;
     for (size_t i = 0; i < c->channels; i++) {
@@ -39,13 +46,12 @@ void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
     }
 }
 
-/* The codes from the newest on, back through the ring. */
-static void add(ta_correlated *s, size_t newest, int32_t current)
+/* The codes from that of the current on, back through the ring. */
+static void add(ta_correlated *s, size_t place, int32_t current)
 {
-    size_t place = newest;
     for (size_t lag = 0; lag < PLACES; lag++) {
         s->products[lag] += current * (int32_t)s->codes[place];
-        place = place > 0 ? place - 1u : PLACES - 1u;
+        place = place > 0 ? place - 1u : TA_CODES - 1u;
     }
     s->energy += (uint64_t)(current * current);
     s->clipped = s->clipped || current == (int32_t)TP_FULL_SCALE_CODE ||
@@ -57,8 +63,9 @@ bool ta_correlator_add(ta_correlator *c, const int16_t *currents)
     if (c->left == 0) {
         return false;
     }
+    size_t place = (c->newest + TA_CODES - c->delay) % TA_CODES;
     for (size_t i = 0; i < c->channels; i++) {
-        add(&c->sums[i], c->newest, currents[i] == INT16_MIN ? -INT16_MAX : currents[i]);
+        add(&c->sums[i], place, currents[i] == INT16_MIN ? -INT16_MAX : currents[i]);
     }
     c->left--;
     return c->left == 0;

@@ -9,16 +9,20 @@
 
 #include "tactile_core.h"
 
+#define TA_CODES (TP_LAGS + 1 + TA_CURRENT_DELAY)
+
 typedef struct {
     uint64_t energy;
     int64_t products[TP_LAGS + 1]; /* of the current with the code 0 ... TP_LAGS instants before */
-    int16_t codes[TP_LAGS + 1];    /* ring of the codes that were put out last */
+    int16_t codes[TA_CODES];       /* ring of the codes that were put out last */
     bool clipped;
 } ta_correlated;
 
 typedef struct {
     uint8_t channels;
     uint8_t newest;    /* place of the latest code in the rings */
+    uint8_t delay;     /* instants by which the currents are late */
+    uint8_t lacking;   /* instants until the first current that is of an instant after START */
     uint16_t samples;  /* of the window under way, and those that it still lacks: 0 if there is none */
     uint16_t left;
     uint32_t position; /* first of the window */
@@ -26,18 +30,20 @@ typedef struct {
 } ta_correlator;
 
 /* Forgets the codes that were played and the window under way, as at START. */
-void ta_correlator_start(ta_correlator *c, uint8_t channels);
+void ta_correlator_start(ta_correlator *c, uint8_t channels, uint8_t delay);
 
 /* Ends the window under way, which is not sent. */
 void ta_correlator_stop(ta_correlator *c);
 
-/* Adds the codes that were put out at an instant of RUNNING. */
-void ta_correlator_played(ta_correlator *c, const int16_t *codes);
+/* Adds the codes that were put out at an instant of RUNNING; returns whether the current that is known
+ * now is of an instant after START. */
+bool ta_correlator_played(ta_correlator *c, const int16_t *codes);
 
-/* Begins a window of `samples` at a position if none is under way. */
+/* Begins a window of `samples` if none is under way, with the instant whose current is known when
+ * `position` has been put out. */
 void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples);
 
-/* Adds the current codes of the instant that was put out last; returns whether that completes the window,
+/* Adds the current codes that are known now; returns whether that completes the window,
  * whose sums stay until the next one is opened. */
 bool ta_correlator_add(ta_correlator *c, const int16_t *currents);
 

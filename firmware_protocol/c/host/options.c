@@ -20,6 +20,7 @@ static const char usage[] =
     "                     last of all that follow; 0 is an open line\n"
     "  --sense-ranges-ua LIST  measure for CORRELATION, and SENSE, with these ranges of the current, such\n"
     "                     as 2500,20000; that at power-up first\n"
+    "  --current-delay N  take these currents as late by so many instants, 0 to 64\n"
     "  --link serial|can|i2c|smbus|packet     answer over this link, whatever is fed\n"
     "  --out FILE         a record per instant: u64 tick, u32 position, u8 state,\n"
     "                     u8 high voltage, i16 per channel\n"
@@ -84,6 +85,7 @@ static int take_number(virtual_options *o, const char *name, const char *text)
         {"--channels", &c->channels, 1},
         {"--carriers", &c->carriers, 1},
         {"--node", &c->node, 1},
+        {"--current-delay", &c->current_delay, 1},
         {"--formats", &c->formats, 2},
         {"--fifo", &c->fifo_samples, 2},
         {"--packet-limit", &c->packet_limit, 2},

@@ -403,7 +403,7 @@ static void do_correlate(void)
     uint8_t entry[TA_ENTRY];
     int16_t code;
     size_t before = number();
-    ta_correlator_start(&correlator, 1);
+    ta_correlator_start(&correlator, 1, 0);
     for (size_t i = 0; i < before; i++) {
         code = (int16_t)number();
         ta_correlator_played(&correlator, &code);

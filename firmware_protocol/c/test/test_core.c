@@ -502,7 +502,7 @@ static void test_correlator(void)
     static int16_t codes[TA_CHANNELS];
     static int16_t currents[TA_CHANNELS];
     uint8_t entry[TA_ENTRY];
-    ta_correlator_start(&c, TA_CHANNELS);
+    ta_correlator_start(&c, TA_CHANNELS, 0);
     CHECK(!ta_correlator_add(&c, currents)); /* none is under way */
     ta_correlator_open(&c, 7, 4);
     for (int16_t n = 0; n < 4; n++) {

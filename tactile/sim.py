@@ -9,6 +9,7 @@ like those of `Plant`.
 """
 
 import importlib
+import math
 from collections import deque
 from typing import Annotated
 
@@ -80,6 +81,9 @@ class SimOptions(Options, frozen=True, kw_only=True):
     hysteresis : float
         Width of the ceramic's loop at the voltage limit, as a fraction of its swing; 0.12 to 0.15
         is usual.
+    correlation_ms : int or None
+        Length of the windows of correlated currents, of whole samples [ms]; by default the
+        amplifier does not measure. It has a range of ±2.5 mA and 12 bits with noise.
     """
 
     keep: Keep = "second"
@@ -92,6 +96,7 @@ class SimOptions(Options, frozen=True, kw_only=True):
     retouch: Annotated[float, Meta(ge=0, le=LONGEST)] | None = None
     tolerance: Annotated[int, Meta(ge=0, le=2**31 - 1)] | None = None
     hysteresis: Annotated[float, Meta(ge=0, le=0.3)] = 0.0
+    correlation_ms: Annotated[int, Meta(ge=10, le=100)] | None = None
 
     @property
     def touched(self) -> bool:
@@ -143,6 +148,8 @@ class SimulatedDisplay(MockBus):
         Whether to keep the last second or all of the output.
     sample_format : SampleFormat
         Sample format on the link to the amplifier.
+    correlation_ms : int
+        Length of the windows of correlated currents that the amplifier measures [ms]; 0 for none.
 
     Attributes
     ----------
@@ -158,15 +165,25 @@ class SimulatedDisplay(MockBus):
         plant: PlantLike | None = None,
         keep: str = "second",
         sample_format: SampleFormat = SampleFormat.PCM16,
+        correlation_ms: int = 0,
     ) -> None:
-        wiring = Wiring.of(display, sample_rate)
-        super().__init__(wiring, keep=keep, sample_format=sample_format)
+        contactors = len(display.contactors)
         self._display = display
         self._plant = default_plant(display, sample_rate) if plant is None else plant
-        self._late = self._plant.delay
-        self._shear = _Kept(len(display.contactors), self._kept)
-        self._currents = _Kept(len(display.contactors), sample_rate)
+        self._stepped: list[tuple[Floats, Floats]] = []
+        """Shear and currents that the plant has given and that are not kept yet."""
+        self._wanted = np.zeros(self._plant.delay, np.bool_)
+        """Whether each sample that the plant gives next belongs to drive that was put out."""
+        self._ahead = 0
+        """Number of samples that were played for the sensor and not put out yet."""
+        self._shear = _Kept(contactors, math.inf if keep == "all" else sample_rate)
+        self._currents = _Kept(contactors, sample_rate)
         self.peak_current = 0.0
+        super().__init__(
+            Wiring.of(display, sample_rate), keep=keep, sample_format=sample_format,
+            currents=self._measured if correlation_ms else None,
+            current_delay=self._plant.delay, correlation_ms=correlation_ms,
+        )  # fmt: skip
 
     @property
     def dropped_shear(self) -> int:
@@ -204,19 +221,41 @@ class SimulatedDisplay(MockBus):
             return self._display.load_at(_middle_force(self._display))
         raise InputError("sim: the load of another plant is not known")
 
+    def _measured(self, volts: Floats, sample_rate: float) -> Floats:
+        """Return the currents (S, C) that channels draw, as late as the plant gives them."""
+        del sample_rate
+        self._ahead += len(volts)
+        currents = np.zeros_like(volts)
+        currents[:, self._display.channel] = self._step_plant(volts)
+        return currents
+
     def _put(self, volts: Floats) -> None:
         super()._put(volts)
-        self._step_plant(volts[:, self._display.channel])
+        if self.correlates:  # the plant has played what is put out, and rest after it
+            rest = self._ahead - len(volts)
+        else:
+            self._step_plant(volts)
+            rest = 0
+        self._ahead = 0
+        self._keep(np.repeat([True, False], [len(volts), rest]))
 
-    def _step_plant(self, volts: Floats) -> None:
-        """Feed the plant with the drive of the contactors, and keep its shear."""
-        shear, current = self._plant.step(volts)
+    def _step_plant(self, volts: Floats) -> Floats:
+        """Feed the plant with the drive of the channels, and return the contactors' currents."""
+        shear, current = self._plant.step(volts[:, self._display.channel])
         self.peak_current = max(self.peak_current, float(np.abs(current).max(initial=0.0)))
-        skipped = min(self._late, len(shear))
-        self._late -= skipped
-        if len(shear) > skipped:
-            self._shear.add(shear[skipped:] * self._display.polarity)
-            self._currents.add(current[skipped:])
+        self._stepped.append((shear, current))
+        return current
+
+    def _keep(self, wanted: NDArray[np.bool_]) -> None:
+        """Keep what the plant has given for drive that was put out, and say what comes next."""
+        wanted = np.concatenate([self._wanted, wanted])
+        for shear, current in self._stepped:
+            now, wanted = wanted[: len(shear)], wanted[len(shear) :]
+            if now.any():
+                self._shear.add(shear[now] * self._display.polarity)
+                self._currents.add(current[now])
+        self._stepped.clear()
+        self._wanted = wanted
 
     def take_shear(self) -> Floats:
         """Return the shear of the skin since the last call.
@@ -246,8 +285,8 @@ class SimulatedDisplay(MockBus):
 
     def settle(self) -> None:
         """Run the plant on at 0 V until its output covers everything that was played."""
-        self._step_plant(np.zeros((self._plant.delay, len(self._display.contactors))))
-        self._late = self._plant.delay
+        self._step_plant(np.zeros((self._plant.delay, self._display.channels)))
+        self._keep(np.zeros(self._plant.delay, np.bool_))
 
 
 def default_plant(display: Display, sample_rate: float) -> PlantLike:
@@ -445,6 +484,7 @@ def _open(address: Address[SimOptions], display: DisplayLike, sample_rate: float
     return SimulatedDisplay(
         display, sample_rate,
         plant=plant, keep=options.keep, sample_format=FORMATS[options.format],
+        correlation_ms=options.correlation_ms or 0,
     )  # fmt: skip
 
 

@@ -162,6 +162,55 @@ def test_currents_are_those_of_the_plant_from_the_first_sample_on(display: Displ
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-11 * np.abs(exact).max())
 
 
+@pytest.mark.parametrize(
+    ("options", "level"), [("finger=high", 0.05), ("plant=plants_of_the_sim_test:late", 1.0)]
+)
+def test_windows_of_currents_belong_to_the_drive(
+    display: Display, options: str, level: float
+) -> None:
+    """Sums over the currents at the instants of the drive, in a second stroke as well.
+
+    Noise and steps of the converter are 1.3 µA rms, so that a sum of 80 samples is off by 1.3 µA
+    √80 times the rms of the steps; six times that are allowed. A sample of misalignment would change
+    the sums by their size.
+    """
+    bus = opened(display, f"sim:?keep=all&correlation_ms=10&{options}")
+    assert bus.correlates
+    volts = level * noise(1600)
+    steps = np.diff(volts, axis=0, prepend=np.zeros((17, 6)))
+    allowed = 6 * 1.3e-6 * np.sqrt(80) * steps.std()
+    for _ in range(2):
+        bus.start()
+        bus.settle()
+        bus.take_currents()
+        for start in range(0, 1600, 64):
+            bus.write(DriveBlock(start, volts[start : start + 64]))
+        windows, currents = bus.take_correlations(), bus.take_currents()
+        assert [w.position for w in windows] == list(range(0, 80 * len(windows), 80))
+        assert len(windows) >= 18
+        for w in windows:
+            span = np.arange(w.position, w.position + 80)
+            for lag in range(16):
+                sums = np.einsum("sn,sn->n", currents[span], steps[span + 16 - lag][:, CHANNEL])
+                assert np.abs(w.sums[CHANNEL, lag] - sums).max() < allowed
+        bus.stop()
+    assert np.abs(w.sums[CHANNEL]).max() > 3 * allowed
+
+
+def test_what_the_amplifier_measures_does_not_change_the_shear(display: Display) -> None:
+    """Two strokes with a rest between them, which is a sample longer where it is measured."""
+    found = []
+    for options in ("?finger=mid", "?finger=mid&correlation_ms=25"):
+        bus = opened(display, f"sim:{options}")
+        first = played(bus)
+        bus.stop()
+        found.append((first, bus.take_shear(), played(bus)))
+    (first, rest, second), (same, longer, alike) = found
+    np.testing.assert_array_equal(same, first)
+    np.testing.assert_array_equal(longer[: len(rest)], rest)
+    np.testing.assert_allclose(alike[100:], second[101:], rtol=0, atol=1e-3 * np.abs(second).max())
+
+
 def test_of_currents_that_nobody_takes_the_last_second_is_kept(display: Display) -> None:
     bus = opened(display, "sim:?keep=all&plant=plants_of_the_sim_test:at_once")
     bus.start()

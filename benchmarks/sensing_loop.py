@@ -12,28 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 import tactile
 from benchmarks.sensing_plant import REACH, Converter, Fingers, PlantTolerances, SensingPlant
 from firmware_protocol.correlation import Correlator, decode, messages_of
-from firmware_protocol.messages import FULL_SCALE_CODE, PACKET_MAX
-from tactile.actuator.bimorph import Bimorph, capacitance
-from tactile.actuator.response import blocked_force
+from firmware_protocol.messages import FULL_SCALE_CODE, PACKET_MAX, Window
+from tactile.actuator.amplifier import Amplifier
+from tactile.actuator.bimorph import Bimorph
 from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import FollowingEqualizer
+from tactile.sensing.admittance import AirWindows, measure_admittances
 from tactile.sensing.baseline import Baseline, fit_baseline
-from tactile.sensing.bender import Bender, Deviations
+from tactile.sensing.bender import Bender, Deviations, bender_of
+from tactile.sensing.calibration import CalibrationPlan, MeasuringLimits, plan_calibration
 from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import Estimate, LoadEstimator
-from tactile.sensing.excitation import (
-    PERIOD,
-    calibration_lines,
-    line_spectrum,
-    multisine,
-    pilot,
-    pilot_phases,
-)
+from tactile.sensing.excitation import pilot, pilot_phases
 from tactile.sensing.inverse_mix import InverseMix
 from tactile.sensing.population import Population
 
@@ -51,8 +47,6 @@ VOLTAGE = 100.0
 """Voltage limit and full scale of the display [V]."""
 CODE = VOLTAGE / FULL_SCALE_CODE
 """Volts of a sample code."""
-PERIODS = 8
-"""Number of periods over which the calibration averages, after one in which the plant settles."""
 VARIED_SCALE, VARIED_SHAPE = 0.15, 0.10
 """Standard deviations of the logarithms between contactors of one finger: of all constants in
 common, and of each besides (assumed)."""
@@ -87,39 +81,72 @@ class Case:
 
 def design() -> Bender:
     """Return the default bender as `tactile.sensing` sees it."""
-    frequency = np.arange(0.0, 4001.0, 5.0)
-    force, stiffness = blocked_force(Bimorph(), frequency)
-    return Bender(frequency, force, stiffness, np.ones_like(force))
+    return bender_of(Bimorph(), Amplifier(), RATE)
 
 
-def calibrate(
-    tolerances: PlantTolerances, converter: Converter, seed: int, periods: int = PERIODS
-) -> Baseline:
+def reported(
+    correlator: Correlator, converter: Converter, drive: Floats, current: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Report windows as the reference amplifier does.
+
+    Of a drive (S, N) and the current of the same instants, of whole windows, it returns the sums
+    (W, N, LAGS), the largest error of their rounding (W, N) and whether they clipped (W, N).
+    """
+    amperes = converter.range / FULL_SCALE_CODE
+    codes, currents = (
+        np.rint(values / unit).astype(np.int64)
+        for values, unit in ((drive, CODE), (current, amperes))
+    )
+    # what the plant clips is at an end of the range of the protocol too
+    top = converter.range - 1.5 * converter.step
+    currents = np.where(np.abs(current) > top, FULL_SCALE_CODE * np.sign(currents), currents)
+    sums, rounding, clipped = [], [], []
+    for window in correlator.add(0, codes, currents.astype(np.int64), WINDOW):
+        messages = messages_of(window, round(converter.range * 1e6), PACKET_MAX)
+        entries = [part for part in map(decode, messages) if part is not None]
+        sums.append(np.concatenate([part.sums for part in entries]) * (amperes * CODE))
+        rounding.append(np.concatenate([part.rounding for part in entries]) * (amperes * CODE))
+        clipped.append(np.concatenate([part.flags for part in entries]) & Window.CLIPPED != 0)
+    return np.array(sums), np.array(rounding), np.array(clipped)
+
+
+def air_windows(plan: CalibrationPlan, converter: Converter, current: Floats) -> AirWindows:
+    """Return the windows of a plan's current (S, N), as the reference amplifier reports them."""
+    n = current.shape[1]
+    drive = np.repeat(plan.drive[:, None], n, axis=1)
+    sums, rounding, clipped = reported(Correlator(n), converter, drive, current)
+    positions = WINDOW * np.arange(len(sums), dtype=np.int64)
+    return AirWindows(positions, sums, rounding, np.ones_like(clipped), clipped)
+
+
+def planned(converter: Converter) -> CalibrationPlan:
+    """Return the drive of the calibration."""
+    limits = MeasuringLimits(current=converter.range, voltage=VOLTAGE, slew=0.7e6)
+    return plan_calibration(design(), RATE, limits, window=WINDOW)
+
+
+def calibrate(tolerances: PlantTolerances, converter: Converter, seed: int) -> Baseline:
     """Measure the baseline of contactors in air."""
-    bender, n = design(), len(tolerances.mass)
+    n, plan = len(tolerances.mass), planned(converter)
     plant = SensingPlant(
         Fingers(*np.ones((4, n))), tolerances, converter=converter, sample_rate=RATE, seed=seed
     )
     plant.scale[:] = 0
-    lines = calibration_lines(bender.resonance)
-    electrodes = Bimorph().length + Bimorph().clamped_length
-    farads = float(capacitance(Bimorph(), electrodes).real)
-    drive = multisine(lines, RATE, capacitance=farads, current=converter.range)
-    count = round(PERIOD * RATE)
-    repeated = np.tile(drive, periods + 2)[: count * (periods + 1) + plant.delay]
-    _, current = plant.step(np.repeat(repeated[:, None], n, axis=1))
-    measured = current[plant.delay + count :].reshape(periods, count, n)
-    spectrum = line_spectrum(measured.mean(axis=0), lines).T / line_spectrum(drive, lines)
-    return fit_baseline(lines, spectrum, bender)
+    played = np.rint(plan.drive / CODE) * CODE
+    longer = np.concatenate([played, np.zeros(plant.delay)])
+    _, current = plant.step(np.repeat(longer[:, None], n, axis=1))
+    windows = air_windows(plan, converter, current[plant.delay :])
+    found = measure_admittances(plan, windows, played)
+    return fit_baseline(
+        found.frequency, found.value, design(), deviation=found.deviation, clipped=found.clipped
+    )
 
 
-def draw_case(
-    fingers: int, contactors: int, converter: Converter, seed: int, periods: int = PERIODS
-) -> Case:
+def draw_case(fingers: int, contactors: int, converter: Converter, seed: int) -> Case:
     """Draw random contactors, calibrate them, and draw random fingers."""
     rng = np.random.default_rng(seed)
     tolerances = PlantTolerances.drawn(contactors, rng)
-    one = calibrate(tolerances, converter, seed + 1, periods)
+    one = calibrate(tolerances, converter, seed + 1)
     population = Population.assumed()
     common = rng.multivariate_normal(population.mean, population.covariance, fingers)
     n = fingers * contactors
@@ -324,18 +351,8 @@ class Loop:
 
     def _reported(self, drive: Floats, current: Floats) -> tuple[Floats, Floats]:
         """Return sums and their resolution as the reference amplifier reports them."""
-        amperes = self._converter.range / FULL_SCALE_CODE
-        codes, currents = (
-            np.rint(values / unit).astype(np.int64)
-            for values, unit in ((drive, CODE), (current, amperes))
-        )
-        (window,) = self._correlator.add(0, codes, currents, WINDOW)
-        range_ua = round(self._converter.range * 1e6)
-        parts = [decode(message) for message in messages_of(window, range_ua, PACKET_MAX)]
-        entries = [part for part in parts if part is not None]
-        sums = np.concatenate([part.sums for part in entries]) * (amperes * CODE)
-        rounding = np.concatenate([part.rounding for part in entries]) * (amperes * CODE)
-        return sums, 2 * rounding
+        sums, rounding, _ = reported(self._correlator, self._converter, drive, current)
+        return sums[0], 2 * rounding[0]
 
 
 def references(loop: Loop, time: float) -> dict[str, Floats]:

@@ -6,7 +6,7 @@ from benchmarks.sensing_loop import RATE, design
 from benchmarks.sensing_plant import Fingers, PlantTolerances, SensingPlant
 from tactile.arrays import Floats
 from tactile.sensing.baseline import Baseline, fit_baseline
-from tactile.sensing.excitation import calibration_lines
+from tactile.sensing.calibration import calibration_lines
 from tactile.sensing.population import Population
 
 CONTACTORS = 4

@@ -21,22 +21,10 @@ from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import blocked_force
 from tactile.arrays import Floats
 from tactile.errors import InputError
-from tactile.sensing.baseline import fit_baseline
 from tactile.sensing.bender import Bender, Deviations
 from tactile.sensing.correlation import AFTER, BEFORE, LAGS, MARGIN, step_products
 from tactile.sensing.current_model import CurrentModel
-from tactile.sensing.excitation import (
-    FILLING,
-    LARGEST,
-    PERIOD,
-    TONES,
-    VOLTS,
-    calibration_lines,
-    line_spectrum,
-    multisine,
-    pilot,
-    pilot_phases,
-)
+from tactile.sensing.excitation import TONES, VOLTS, pilot, pilot_phases
 from tactile.sensing.inverse_mix import InverseMix
 from tactile.sensing.population import Population, load_stiffness, load_terms
 from tactile.sensing.uncertainty import shear_deviation
@@ -233,21 +221,6 @@ def test_stated_deviation_is_that_of_random_loads() -> None:
     assert own[0] == pytest.approx(expected, rel=0.05)
 
 
-def test_multisine_stays_within_voltage_and_current() -> None:
-    """Check the limits of the calibration's drive, and that its lines are found again."""
-    lines = calibration_lines(930.0)
-    drive = multisine(lines, RATE, capacitance=12.8e-9, current=2.5e-3)
-    assert np.abs(drive).max() <= LARGEST * (1 + 1e-12)
-    spectrum = line_spectrum(drive, lines)
-    assert np.abs(spectrum).min() > 0
-    turned = np.fft.rfft(drive) * 2j * np.pi * np.fft.rfftfreq(len(drive), 1 / RATE)
-    drawn = 12.8e-9 * np.fft.irfft(turned, len(drive))
-    assert np.abs(drawn).max() <= FILLING * 2.5e-3 * (1 + 1e-9)
-    rms = np.sqrt(np.mean(drive**2))
-    assert np.sqrt(np.sum(np.abs(spectrum) ** 2) / 2) == pytest.approx(rms, rel=1e-6)
-    assert np.all(lines * PERIOD == np.rint(lines * PERIOD))
-
-
 def test_pilot_is_its_tones_in_one_stream() -> None:
     """Compare the pilot with written-out cosines, and two parts with the whole."""
     phases = pilot_phases(3)
@@ -261,33 +234,12 @@ def test_pilot_is_its_tones_in_one_stream() -> None:
     np.testing.assert_allclose(pilot(60, 40, RATE, phases), whole[60:], atol=1e-12)
 
 
-def test_odd_sample_rates_have_whole_periods() -> None:
-    """Create the multisine at 11 025 Hz."""
-    drive = multisine(calibration_lines(930.0), 11025.0, capacitance=12.8e-9, current=2.5e-3)
-    assert len(drive) == round(PERIOD * 11025)
-
-
 @pytest.mark.parametrize("sample_rate", [4000.0, 48000.0])
 def test_rates_that_the_filters_do_not_fit_are_refused(sample_rate: float) -> None:
     """Ask for a model below and above the range."""
     baseline = exact_baseline(tolerant_plant(random_loads(1)))
     with pytest.raises(InputError, match=f"sample_rate {sample_rate:g} Hz: must be 6000 … 16000"):
         CurrentModel(baseline, Population.assumed(), sample_rate)
-
-
-def test_captures_that_are_no_bender_in_air_are_named() -> None:
-    """Give a dead channel, an open one, a touched one and a good one to the calibration."""
-    plant = tolerant_plant(random_loads(CONTACTORS))
-    bender = design()
-    lines = calibration_lines(bender.resonance)
-    captures = plant.admittance(lines, np.array([0.0, 0.0, 1.0, 0.0]))
-    captures[0] = 0
-    captures[1] = 2j * np.pi * lines * 100e-12
-    baseline = fit_baseline(lines, captures, bender)
-    assert "d31 0 times the design's, not 0.5 … 2 times" in baseline.faults[0]
-    assert "d31" in baseline.faults[1] or "stiffness" in baseline.faults[1]
-    assert baseline.faults[2]
-    assert not baseline.faults[3]
 
 
 def test_amplifier_sends_the_sums_that_are_predicted() -> None:

@@ -239,7 +239,7 @@ def test_equalizer_follows_a_swinging_force() -> None:
 @pytest.mark.ci
 def test_equalizer_follows_a_steady_finger() -> None:
     """Play oak under a steady force: the error at 0.2 s and once settled."""
-    case = draw_case(4, 3, Converter(), seed=8, periods=3)
+    case = draw_case(4, 3, Converter(), seed=8)
     moments = list(Loop(case, Converter(), force=steady, seconds=1.0).run())
     first = next(moment for moment in moments if moment.time >= 0.2)
     assert np.percentile(np.abs(first.error), 95) < 3

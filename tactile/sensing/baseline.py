@@ -8,8 +8,10 @@ from the resonance; what is left is the capacitance, smoothed by a polynomial in
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tactile.arrays import Complex, Floats
@@ -22,9 +24,24 @@ ORDER = 6
 NEAR = 0.12
 """Distance from the resonance, relative to it, within which the capacitance is not fitted: there
 the mechanical part is large, and so are its errors."""
-PLAUSIBLE = {"stiffness": (0.7, 1.4), "d31": (0.5, 2.0), "mechanical loss": (0.3, 3.0)}
+PLAUSIBLE = {
+    "capacitance": (0.5, 2.0),
+    "stiffness": (0.7, 1.4),
+    "d31": (0.5, 2.0),
+    "mechanical loss": (0.3, 3.0),
+}
 """Factors against the design between which a bender is plausible (assumed). A tip that is touched
-is stiffer and loses more; a channel without a bender has no d31."""
+is stiffer and loses more."""
+DEAD, OPEN = 0.002, 0.3
+"""Parts of the design's capacitance below which no current was measured, and below which it is that
+of a cable without a bender (assumed): cables have about 1 %."""
+LARGEST_SKEW = 20e-6
+"""Largest plausible delay of the current, 16 % of a sample at 8 kHz (assumed) [s]. An error of a
+sample is beyond it at all sample rates."""
+BLUNT = 1e-3
+"""Error of the polynomial, relative to the capacitance; lines are weighted by it and by the noise.
+The fit is the better the lower it is down to here, and then stays (measured with the benchmark's
+benders)."""
 LARGEST_RESIDUAL = 0.05
 """Largest residual of a plausible fit (assumed); with noise of the converter it is 0.3 %."""
 SURROUNDINGS = 0.25
@@ -115,7 +132,30 @@ class Baseline:
         return self.bender.at(frequency, self.deviations)
 
 
-def fit_baseline(frequency: Floats, admittance: Complex, bender: Bender) -> Baseline:
+class _Fit(NamedTuple):
+    """Deviations, skew, capacitance, resonance and residual of a channel, as in `Baseline`."""
+
+    stiffness: float
+    coupling: float
+    loss: float
+    skew: float
+    capacitance: Complex
+    resonance: float
+    residual: float
+
+
+_NOTHING = _Fit(1.0, 0.0, 1.0, 0.0, np.zeros(ORDER + 1, np.complex128), 0.0, np.inf)
+"""Fit of a channel without a bender."""
+
+
+def fit_baseline(
+    frequency: Floats,
+    admittance: Complex,
+    bender: Bender,
+    *,
+    deviation: Floats | None = None,
+    clipped: NDArray[np.bool_] | None = None,
+) -> Baseline:
     """Fit the baseline to admittances that were measured in air.
 
     Parameters
@@ -123,9 +163,14 @@ def fit_baseline(frequency: Floats, admittance: Complex, bender: Bender) -> Base
     frequency : (F,) array of float
         Frequencies of the lines, ascending from above zero, densest near the resonance [Hz].
     admittance : (N, F) complex array
-        Measured current per volt of drive, of each channel [S].
+        Measured current per volt of drive, of each channel; NaN where it is unknown [S].
     bender : Bender
         The design.
+    deviation : (N, F) array of float, optional
+        Standard deviations of the admittances, by which the lines of the capacitance are weighted
+        [S].
+    clipped : (N, F) array of bool, optional
+        Whether the converter clipped at a line.
 
     Returns
     -------
@@ -133,33 +178,84 @@ def fit_baseline(frequency: Floats, admittance: Complex, bender: Bender) -> Base
         Baseline of all channels.
     """
     per_charge = 2j * np.pi * frequency * bender.electrode_voltage(frequency)
-    fits = [_fit_one(frequency, row, bender) for row in admittance / per_charge]
+    charge = admittance / per_charge
+    spread = np.zeros(charge.shape) if deviation is None else deviation / np.abs(per_charge)
+    beyond = np.zeros(charge.shape, np.bool_) if clipped is None else clipped
+    fits, faults = [], []
+    for row, deviates, clips in zip(charge, spread, beyond, strict=True):
+        fault = _without_bender(frequency, row, clips, bender)
+        weights = 1 / np.hypot(deviates, BLUNT * bender.capacitance)
+        fit = _NOTHING if fault else _fit_one(frequency, row, weights, bender)
+        fits.append(fit)
+        faults.append(fault or _implausible(fit))
     columns = [np.array(column) for column in zip(*fits, strict=True)]
     stiffness, coupling, loss, skew, capacitance, resonance, residual = columns
     return Baseline(
         bender, Deviations(stiffness, coupling, loss), skew, capacitance, resonance, residual,
-        tuple(_fault(*fit) for fit in zip(stiffness, coupling, loss, residual, strict=True)),
+        tuple(faults),
     )  # fmt: skip
 
 
-def _fault(stiffness: float, coupling: float, loss: float, residual: float) -> str:
-    """Return why no bender in air draws such a current, or nothing."""
-    for name, factor in (("stiffness", stiffness), ("d31", coupling), ("mechanical loss", loss)):
-        lowest, highest = PLAUSIBLE[name]
-        if not lowest <= factor <= highest:
-            return f"{name} {factor:.2g} times the design's, not {lowest:g} … {highest:g} times"
-    if not residual <= LARGEST_RESIDUAL:
-        return f"current {100 * residual:.2g} % off that of a bender, above {LARGEST_RESIDUAL:.0%}"
+def _without_bender(
+    frequency: Floats, charge: Complex, clipped: NDArray[np.bool_], bender: Bender
+) -> str:
+    """Return why there is no current of a bender to be fitted, or nothing."""
+    missing = ~np.isfinite(charge)
+    if missing.any():
+        first = f"at {frequency[np.argmax(missing)]:.0f} Hz"
+        if clipped[missing].any():
+            return f"current beyond the range of the converter {first}: measure in a wider range"
+        return f"no current was measured {first}, or too few windows of it came"
+    farads = float(np.median(charge.real[frequency < (1 - SURROUNDINGS) * bender.resonance]))
+    part = farads / bender.capacitance
+    if abs(part) < DEAD:
+        return "no current: the channel or its sensor is dead"
+    if abs(part) < OPEN:
+        return f"no bender: {_picofarads(farads)} where {_picofarads(bender.capacitance)} are due"
+    if part < 0:
+        return "current of wrong sign: its sensor is connected the wrong way round"
+    lowest, highest = PLAUSIBLE["capacitance"]
+    if not lowest <= part <= highest:
+        return f"capacitance {part:.2g} times the design's, not {lowest:g} … {highest:g} times"
     return ""
 
 
-def _fit_one(
-    frequency: Floats, charge: Complex, bender: Bender
-) -> tuple[float, float, float, float, Complex, float, float]:
-    """Fit one channel; return deviations, skew, capacitance, resonance and residual."""
-    if not (np.isfinite(charge).all() and charge.any()):
-        nothing = np.zeros(ORDER + 1, np.complex128)
-        return 1.0, 0.0, 1.0, 0.0, nothing, bender.resonance, np.inf
+def _picofarads(farads: float) -> str:
+    """Return a capacitance for people."""
+    return f"{1e12 * farads:.0f} pF"
+
+
+def _implausible(fit: _Fit) -> str:
+    """Return why no bender in air draws such a current, or nothing."""
+    if not abs(fit.skew) <= LARGEST_SKEW:
+        return (
+            f"current {1e6 * fit.skew:.0f} µs late, not within ±{1e6 * LARGEST_SKEW:.0f} µs: the "
+            "converter must run on the clock of the drive"
+        )
+    factors = {"stiffness": fit.stiffness, "d31": fit.coupling, "mechanical loss": fit.loss}
+    for name, factor in factors.items():
+        lowest, highest = PLAUSIBLE[name]
+        if not lowest <= factor <= highest:
+            touched = ": is it touched?" if name != "d31" and factor > highest else ""
+            return (
+                f"{name} {factor:.2g} times the design's, not {lowest:g} … {highest:g} times"
+                f"{touched}"
+            )
+    if not fit.residual <= LARGEST_RESIDUAL:
+        return (
+            f"current {100 * fit.residual:.2g} % off that of a bender, above "
+            f"{LARGEST_RESIDUAL:.0%}: is it touched?"
+        )
+    return ""
+
+
+def _late(frequency: Floats, skew: float) -> Complex:
+    """Return the factor of a delay."""
+    return np.asarray(np.exp(-2j * np.pi * frequency * skew))
+
+
+def _fit_one(frequency: Floats, charge: Complex, weights: Floats, bender: Bender) -> _Fit:
+    """Fit one channel, whose lines have weights in the fit of the capacitance."""
     nominal, size = bender.resonance, float(np.abs(charge).mean())
     near = np.abs(frequency / nominal - 1) < SURROUNDINGS
     weight = np.where(near, 1.0, FAR_WEIGHT) / size
@@ -168,7 +264,7 @@ def _fit_one(
         """Return mechanical and dielectric charge of ln e, ln d, ln loss, skew [µs], C and β."""
         one = Deviations(*(np.exp([v]) for v in x[:3]))
         force, stiffness = bender.at(frequency, one)
-        late = np.exp(-2j * np.pi * frequency * x[3] * 1e-6)
+        late = _late(frequency, x[3] * 1e-6)
         dielectric = size * x[4] * (1j * frequency / nominal) ** -x[5]
         return (force**2 / stiffness)[0] * late, dielectric * late
 
@@ -177,18 +273,23 @@ def _fit_one(
         error = (sum(parts(x)) - charge) * weight
         return np.concatenate([error.real, error.imag])
 
-    # Near its resonance the tip moves most, and most of the charge in quadrature is its motion.
-    peak = frequency[near][np.argmin(charge.imag[near])]
-    start = [2 * np.log(peak / nominal), 0.0, 0.0, 0.0, 1.0, 0.01]
+    # Far from its resonance the charge is in phase, but for the delay. Near it the tip moves most,
+    # and most of the charge in quadrature is its motion.
+    phase = np.unwrap(np.angle(charge[~near]))
+    delay = -float(np.polyfit(frequency[~near], phase, 1)[0]) / 2e-6 / np.pi
+    prompt = charge[near] / _late(frequency[near], delay * 1e-6)
+    peak = frequency[near][np.argmin(prompt.imag)]
+    start = [2 * np.log(peak / nominal), 0.0, 0.0, delay, 1.0, 0.01]
     x = least_squares(departure, start, x_scale=[0.01, 0.1, 0.3, 1.0, 0.1, 0.01]).x
     mechanical, _ = parts(x)
-    late = np.exp(-2j * np.pi * frequency * x[3] * 1e-6)
     resonance = nominal * float(np.exp(x[0] / 2))
     away = np.abs(frequency / resonance - 1) > NEAR
-    rest = (charge - mechanical) / late
+    rest = (charge - mechanical) / _late(frequency, x[3] * 1e-6)
     powers = np.vander(np.log(frequency / REFERENCE), ORDER + 1)
-    capacitance = np.linalg.lstsq(powers[away], rest[away], rcond=None)[0]
+    weighted = weights[away, None] * powers[away]
+    solved = np.linalg.lstsq(weighted, weights[away] * rest[away], rcond=None)
+    capacitance = np.asarray(solved[0])
     left = (rest - powers @ capacitance) / size
     residual = float(np.sqrt(np.mean(np.abs(left[away]) ** 2)))
     e, d, loss = np.exp(x[:3])
-    return e, d, loss, x[3] * 1e-6, capacitance, resonance, residual
+    return _Fit(e, d, loss, x[3] * 1e-6, capacitance, resonance, residual)

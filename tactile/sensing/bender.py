@@ -6,7 +6,15 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from tactile.actuator.amplifier import Amplifier
+from tactile.actuator.bimorph import Bimorph, capacitance
+from tactile.actuator.finger import FingerLoad
+from tactile.actuator.response import blocked_force, tip_response
 from tactile.arrays import Complex, Floats
+
+GRID = np.arange(0.0, 4001.0, 5.0)
+"""Frequencies at which a design is computed, from 0 Hz to above all that is measured; force and
+stiffness of a tip vary slowly even where that in air resonates [Hz]."""
 
 RESONANCE_BELOW = 0.6
 """Part of the frequencies of a design in which its resonance is sought; the second resonance is six
@@ -50,12 +58,15 @@ class Bender:
         Dynamic stiffness of the undriven tip, S [N/m].
     amplifier : (K,) complex array
         Voltage at the electrodes per volt of drive.
+    capacitance : float
+        Capacitance of the held bender, clamped length included [F].
     """
 
     frequency: Floats
     force: Complex
     stiffness: Complex
     amplifier: Complex
+    capacitance: float
 
     @cached_property
     def _splines(self) -> tuple[CubicSpline[np.complex128], ...]:
@@ -110,3 +121,29 @@ class Bender:
             e * np.asarray(deviations.coupling)[:, None] * force,
             np.asarray(e * (stiffness.real + 1j * loss * stiffness.imag)),
         )
+
+
+def bender_of(bimorph: Bimorph, amplifier: Amplifier, sample_rate: float) -> Bender:
+    """Compute the tip of a display's bimorph behind its amplifier.
+
+    Parameters
+    ----------
+    bimorph : Bimorph
+        Geometry and materials.
+    amplifier : Amplifier
+        Amplifier between drive and electrodes; its output resistance sees the bender in air.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+
+    Returns
+    -------
+    Bender
+        The design.
+    """
+    force, stiffness = blocked_force(bimorph, GRID)
+    admittance = tip_response(bimorph, FingerLoad.none(), GRID).admittance
+    electrodes = np.asarray(bimorph.length) + bimorph.clamped_length
+    return Bender(
+        GRID, force, stiffness, amplifier.response(GRID, admittance, sample_rate),
+        float(capacitance(bimorph, electrodes).real),
+    )  # fmt: skip

@@ -153,22 +153,22 @@ def draw_case(fingers: int, contactors: int, converter: Converter, seed: int) ->
     logarithms = np.repeat(common, contactors, axis=0)
     logarithms = logarithms + VARIED_SCALE * rng.standard_normal((n, 1))
     logarithms = logarithms + VARIED_SHAPE * rng.standard_normal((n, 4))
-
-    def tiled(values: Floats) -> Floats:
-        """Repeat what belongs to contactors for each finger."""
-        return np.concatenate([values] * fingers)
-
-    deviations, t = one.deviations, tolerances
-    baseline = Baseline(
-        one.bender,
-        Deviations(tiled(deviations.stiffness), tiled(deviations.coupling), tiled(deviations.loss)),
-        tiled(one.skew), np.concatenate([one.capacitance] * fingers), tiled(one.resonance),
-        tiled(one.residual), one.faults * fingers,
-    )  # fmt: skip
+    t = tolerances
     tolerances = PlantTolerances(
-        tiled(t.stiffness), tiled(t.coupling), tiled(t.mass), tiled(t.cable)
+        *(np.tile(values, fingers) for values in (t.stiffness, t.coupling, t.mass, t.cable))
     )
-    return Case(fingers, one, baseline, tolerances, logarithms)
+    return Case(fingers, one, repeated(one, fingers), tolerances, logarithms)
+
+
+def repeated(one: Baseline, fingers: int) -> Baseline:
+    """Return the baseline of the contactors of one finger, repeated for several."""
+    d = one.deviations
+    tiled = [np.tile(values, fingers) for values in (d.stiffness, d.coupling, d.loss)]
+    return Baseline(
+        one.bender, Deviations(*tiled), np.tile(one.skew, fingers),
+        np.tile(one.capacitance, (fingers, 1)), np.tile(one.resonance, fingers),
+        np.tile(one.residual, fingers), one.faults * fingers,
+    )  # fmt: skip
 
 
 def swinging(period: float) -> Callable[[Floats], Floats]:

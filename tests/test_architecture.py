@@ -35,7 +35,7 @@ MAP: dict[str, set[str]] = {
     "display": {"actuator", "files"},
     "texture": {"files"},
     "rendering": {"display", "files", "texture"},
-    "sensing": {"actuator", "rendering"},
+    "sensing": {"actuator", "files", "rendering"},
     "tracking": {"rendering"},
     "strength": {"display", "rendering", "texture"},
     "bus": {"clock", "files", "processes"},

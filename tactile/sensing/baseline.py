@@ -146,6 +146,8 @@ class _Fit(NamedTuple):
 
 _NOTHING = _Fit(1.0, 0.0, 1.0, 0.0, np.zeros(ORDER + 1, np.complex128), 0.0, np.inf)
 """Fit of a channel without a bender."""
+_TOUCHED = "is it touched, or another bender than the display's?"
+"""Question about a channel that has the capacitance of a bender, but not its resonance."""
 
 
 def fit_baseline(
@@ -236,15 +238,14 @@ def _implausible(fit: _Fit) -> str:
     for name, factor in factors.items():
         lowest, highest = PLAUSIBLE[name]
         if not lowest <= factor <= highest:
-            touched = ": is it touched?" if name != "d31" and factor > highest else ""
             return (
-                f"{name} {factor:.2g} times the design's, not {lowest:g} … {highest:g} times"
-                f"{touched}"
+                f"{name} {factor:.2g} times the design's, not {lowest:g} … {highest:g} times: "
+                f"{_TOUCHED}"
             )
     if not fit.residual <= LARGEST_RESIDUAL:
         return (
             f"current {100 * fit.residual:.2g} % off that of a bender, above "
-            f"{LARGEST_RESIDUAL:.0%}: is it touched?"
+            f"{LARGEST_RESIDUAL:.0%}: {_TOUCHED}"
         )
     return ""
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tactile.actuator.amplifier import Amplifier
-from tactile.actuator.bimorph import Bimorph, capacitance
+from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.response import blocked_force, tip_response
 from tactile.arrays import Complex, Floats
@@ -59,7 +59,7 @@ class Bender:
     amplifier : (K,) complex array
         Voltage at the electrodes per volt of drive.
     capacitance : float
-        Capacitance of the held bender, clamped length included [F].
+        Capacitance at rest with the tip held, clamped length included [F].
     """
 
     frequency: Floats
@@ -142,8 +142,6 @@ def bender_of(bimorph: Bimorph, amplifier: Amplifier, sample_rate: float) -> Ben
     """
     force, stiffness = blocked_force(bimorph, GRID)
     admittance = tip_response(bimorph, FingerLoad.none(), GRID).admittance
-    electrodes = np.asarray(bimorph.length) + bimorph.clamped_length
-    return Bender(
-        GRID, force, stiffness, amplifier.response(GRID, admittance, sample_rate),
-        float(capacitance(bimorph, electrodes).real),
-    )  # fmt: skip
+    held = admittance[1] / (2j * np.pi * GRID[1]) - force[1] ** 2 / stiffness[1]
+    electrodes = amplifier.response(GRID, admittance, sample_rate)
+    return Bender(GRID, force, stiffness, electrodes, float(held.real))

@@ -38,7 +38,8 @@ slow lines hardly excite it [s]."""
 LARGEST = 20.0
 """Largest magnitude at the electrodes: small signals, far from hysteresis (assumed) [V]."""
 FILLING = 0.8
-"""Part of the converter's range that the current may fill."""
+"""Part of the converter's range that the current may fill, and of the slew limit the drive, since
+cross-fades add to it."""
 STIFFNESSES = np.linspace(0.7, 1.4, 57)
 """Factors of the stiffness for which the current is predicted, so that no resonance clips."""
 CORNER = 250.0
@@ -227,7 +228,7 @@ def _largest(
     shares = (
         np.abs(volts).max() / limits.voltage,
         np.abs((turning @ gain).real).max() / LARGEST,
-        np.abs(np.diff(volts)).max() * sample_rate / limits.slew,
+        np.abs(np.diff(volts)).max() * sample_rate / (FILLING * limits.slew),
         np.abs((turning @ per_volt.T).real).max() / (FILLING * limits.current),
     )
     return float(max(shares))

@@ -29,7 +29,7 @@ from tactile.bench.figures import Figure, at_least, at_most, seconds
 from tactile.rendering.equalizer import Equalizer, FollowingEqualizer, InverseFilter
 from tactile.sensing.baseline import Baseline
 from tactile.sensing.bender import Deviations
-from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow
+from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import LoadEstimator
 from tactile.sensing.excitation import TONES, VOLTS
@@ -217,6 +217,7 @@ def _cost() -> Iterator[Figure]:
         rng.standard_normal((contactors, AFTER + WINDOW + MARGIN)),
         np.zeros(contactors),
         np.ones(contactors, np.bool_),
+        rng.standard_normal((contactors, EARLIER)),
     )
 
     def update() -> None:

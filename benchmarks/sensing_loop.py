@@ -26,7 +26,7 @@ from tactile.sensing.admittance import AirWindows, measure_admittances
 from tactile.sensing.baseline import Baseline, fit_baseline
 from tactile.sensing.bender import Bender, Deviations, bender_of
 from tactile.sensing.calibration import CalibrationPlan, MeasuringLimits, plan_calibration
-from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow
+from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import Estimate, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
@@ -276,7 +276,7 @@ class Loop:
         self._phases = pilot_phases(n)
         start = self.mix.taps(np.tile(population.mean, (n, 1)))
         self._equalizer, self._taps, self._next = FollowingEqualizer(start), start, start
-        self._drive = np.zeros((AFTER + 1 + 2 * WINDOW, n))
+        self._drive = np.zeros((EARLIER + AFTER + 1 + 2 * WINDOW, n))
         self._current = np.zeros((2 * WINDOW, n))
         self._correlator = Correlator(n)
         self._beyond: list[float] = []
@@ -306,11 +306,11 @@ class Loop:
             if begin > WINDOW:  # the drive jumps at the beginning of the first window
                 estimate = self._estimate(window)
                 ahead = np.concatenate([each.ahead(AHEAD) for each in self._estimators])
-                self._next = self.mix.taps(ahead)
+                self._next = self.mix.taps(ahead, estimate.touching)
 
     def _estimate(self, window: SumWindow) -> Estimate:
         """Update the estimator of each finger, and return all estimates as one."""
-        columns = [window.sums, window.steps, window.resolution, window.valid]
+        columns = [window.sums, window.steps, window.resolution, window.valid, window.earlier]
         parts = zip(*(np.split(column, self.case.fingers) for column in columns), strict=True)
         estimates = [
             estimator.update(SumWindow(*part))
@@ -320,6 +320,7 @@ class Loop:
             np.concatenate([each.logarithms for each in estimates]),
             np.concatenate([each.covariance for each in estimates]),
             np.concatenate([each.inconsistency for each in estimates]),
+            np.concatenate([each.touching for each in estimates]),
         )
 
     def _play(self, begin: int) -> None:
@@ -340,14 +341,16 @@ class Loop:
     def _window(self) -> SumWindow:
         """Return the window before the one that was played last."""
         end, late = len(self._drive) - WINDOW, self.plant.delay
-        steps = np.diff(self._drive[end - WINDOW - AFTER - 1 : end + MARGIN], axis=0).T
+        before = EARLIER + AFTER + 1
+        whole = np.diff(self._drive[end - WINDOW - before : end + MARGIN], axis=0).T
+        earlier, steps = whole[:, :EARLIER], whole[:, EARLIER:]
         current = self._current[late : late + WINDOW]
         if self._rounded:
             sums, resolution = self._reported(self._drive[end - WINDOW : end], current)
         else:
             sums = lag_sums(current.T, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
             resolution = np.zeros(len(sums))
-        return SumWindow(sums, steps, resolution, np.ones(len(sums), np.bool_))
+        return SumWindow(sums, steps, resolution, np.ones(len(sums), np.bool_), earlier)
 
     def _reported(self, drive: Floats, current: Floats) -> tuple[Floats, Floats]:
         """Return sums and their resolution as the reference amplifier reports them."""

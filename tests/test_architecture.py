@@ -44,9 +44,9 @@ MAP: dict[str, set[str]] = {
     "estop": {"clock", "paths", "processes"},
     "playback": {
         "bus", "clock", "devices", "display", "estop", "files", "messages", "paths",
-        "processes", "rendering", "sim", "strength", "texture", "tracking",
+        "processes", "rendering", "sensing", "sim", "strength", "texture", "tracking",
     },
-    "bringup": {"actuator", "bus", "devices", "display", "playback"},
+    "bringup": {"actuator", "bus", "devices", "display", "playback", "sensing"},
     "server": {
         "clock", "display", "estop", "files", "messages", "paths", "playback",
         "processes", "rendering", "texture", "tracking",
@@ -54,13 +54,13 @@ MAP: dict[str, set[str]] = {
     "client": {"clock", "messages", "paths"},
     "local": {"client", "messages", "server"},
     "show": {
-        "actuator", "display", "files", "rendering", "strength", "texture",
+        "actuator", "display", "files", "rendering", "sensing", "strength", "texture",
     },
     "study": {"actuator", "clock", "display", "files", "show"},
     "bench": {"bus", "clock", "devices", "display", "rendering", "texture"},
     "cli": {
         "bench", "bringup", "bus", "client", "devices", "display", "estop", "files",
-        "playback", "server", "show", "strength", "study", "texture",
+        "playback", "sensing", "server", "show", "strength", "study", "texture",
     },
     "__main__": {"cli"},
 }  # fmt: skip

@@ -25,7 +25,7 @@ from benchmarks.sensing_loop import (
 from benchmarks.sensing_plant import Converter
 from tactile.arrays import Floats
 from tactile.sensing.baseline import Baseline
-from tactile.sensing.correlation import AFTER, LAGS, MARGIN, SumWindow, step_products
+from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import FARTHEST, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
@@ -64,7 +64,8 @@ def window_of(
     rng = np.random.default_rng(window)
     current = noise * rng.standard_normal((COUNT, WINDOW))
     measured = lag_sums(current, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
-    return SumWindow(exact + measured, steps, np.zeros(COUNT), np.ones(COUNT, np.bool_))
+    valid, earlier = np.ones(COUNT, np.bool_), np.zeros((COUNT, EARLIER))
+    return SumWindow(exact + measured, steps, np.zeros(COUNT), valid, earlier)
 
 
 def followed(model: CurrentModel, loads: Floats, windows: int, drift: float = 1.0) -> LoadEstimator:
@@ -128,7 +129,8 @@ def test_drive_at_rest_says_nothing(model: CurrentModel, amplitude: float) -> No
     """Feed windows without drive: the estimate stays that of the population."""
     estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
     steps = np.full((COUNT, AFTER + WINDOW + MARGIN), amplitude)
-    still = SumWindow(np.zeros((COUNT, LAGS)), steps, np.zeros(COUNT), np.ones(COUNT, np.bool_))
+    valid, earlier = np.ones(COUNT, np.bool_), np.zeros((COUNT, EARLIER))
+    still = SumWindow(np.zeros((COUNT, LAGS)), steps, np.zeros(COUNT), valid, earlier)
     for _ in range(5):
         estimate = estimator.update(still)
     np.testing.assert_allclose(estimate.logarithms, np.tile(Population.assumed().mean, (COUNT, 1)))

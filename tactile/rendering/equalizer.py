@@ -13,6 +13,7 @@ starts, stops and turns, for modulated amplitudes and for events as it is for st
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -252,6 +253,34 @@ def design(response: Complex, voltage: float, sample_rate: float) -> InverseFilt
     return InverseFilter(by_load, mix, delay, error)
 
 
+class EqualizerLike(Protocol):
+    """Conversion of a stream of shear to volts.
+
+    Attributes
+    ----------
+    delay : int
+        Delay from shear to volts [samples].
+    """
+
+    delay: int
+
+    def __call__(self, shear: Singles, normal_force: Floats) -> Singles:
+        """Convert the next samples.
+
+        Parameters
+        ----------
+        shear : (S, N) array of float
+            Shear that contactors are to give [m].
+        normal_force : (S,) array of float
+            Normal force of the finger [N].
+
+        Returns
+        -------
+        (S, N) array of float
+            Volts for the shear of ``delay`` samples ago [V].
+        """
+
+
 class Equalizer:
     """Runs an `InverseFilter` over a stream: shear in, volts out, ``delay`` samples later.
 
@@ -265,6 +294,11 @@ class Equalizer:
         Polarity of each contactor, 1 or −1.
     forces : tuple of L floats
         Normal forces of the filter's first axis [N].
+
+    Attributes
+    ----------
+    delay : int
+        Delay from shear to volts [samples].
     """
 
     def __init__(
@@ -276,6 +310,7 @@ class Equalizer:
         forces: tuple[float, ...],
     ) -> None:
         self._filter, self._forces = filter, np.asarray(forces)
+        self.delay = filter.delay
         gain = (filter.mix[kind] * polarity[:, None]).T
         self._gain, self._plain = gain.astype(np.float32), bool(np.all(gain == 1))
         self._past: Singles | None = None

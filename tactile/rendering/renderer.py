@@ -130,6 +130,8 @@ class Renderer:
         Sample rate of the drive [Hz].
     seed : int
         Seed of the surface's realization.
+    inverse : EqualizerLike, optional
+        What turns shear into volts in place of the inverse ``filter``, of the N contactors.
 
     Attributes
     ----------
@@ -138,7 +140,7 @@ class Renderer:
     limiter : Limiter
         Limiter that the drive leaves through, with its counts.
     filter : InverseFilter
-        Inverse filter in use.
+        Inverse of the display's own response.
     frequency : (F,) array of float
         Frequencies of ``attainable`` [Hz].
     attainable : (L, N, F) array of float
@@ -170,6 +172,7 @@ class Renderer:
         *,
         sample_rate: float = 8000.0,
         seed: int = 0,
+        inverse: equalizer.EqualizerLike | None = None,
     ) -> None:
         if not equalizer.LOWEST_RATE <= sample_rate <= FASTEST:
             raise InputError(
@@ -181,7 +184,7 @@ class Renderer:
         frequency = np.arange(0, equalizer.STOP_BAND + 1, equalizer.GRID)
         response = display.responses(frequency, sample_rate)
         self.filter = equalizer.design(response, display.limits.voltage, sample_rate)
-        self._equalizer = equalizer.Equalizer(
+        self._equalizer = inverse or equalizer.Equalizer(
             self.filter, kind=display.kind, polarity=display.polarity, forces=display.load_forces
         )
         self.limiter = _limiter(display, sample_rate)
@@ -191,7 +194,7 @@ class Renderer:
         self._rubbing: list[tuple[Bristles, Ramp]] = []
         if texture is not None:
             self._add(RealizedLayer(display, texture, seed=seed), Ramp(self._fade_step, 1.0))
-        self.delay = self.filter.delay + self.limiter.delay
+        self.delay = self._equalizer.delay + self.limiter.delay
         self.frequency = frequency
         self.attainable = equalizer.attainable(response[:, display.kind], display.limits.voltage)
         at_rest = self.attainable[:, :, 0].min(axis=1)

@@ -22,6 +22,9 @@ BEFORE = 12
 samples is band-limited."""
 AFTER = 240
 """Number of samples for which the current responds to a step: 30 ms at 8 kHz."""
+EARLIER = 800
+"""Number of samples before those for which a tip in air still swings: with them 130 ms at 8 kHz,
+six time constants of the default bender's resonance."""
 MARGIN = BEFORE + LAGS - 1
 """Number of steps after the window that the products need."""
 
@@ -48,6 +51,7 @@ class SumWindow:
     steps: Floats
     resolution: Floats
     valid: NDArray[np.bool_]
+    earlier: Floats
 
     @property
     def samples(self) -> int:

@@ -1,11 +1,12 @@
 """The current that a contactor draws per step of the drive, for any load, as FIR filters."""
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
 from tactile.sensing.baseline import Baseline
-from tactile.sensing.correlation import AFTER, BEFORE
+from tactile.sensing.correlation import AFTER, BEFORE, EARLIER, LAGS, MARGIN, SumWindow
 from tactile.sensing.population import Population, load_stiffness, load_terms
 
 FITTED = np.unique(np.concatenate([np.geomspace(8, 40, 9), np.arange(40.0, 2601.0, 10.0)]))
@@ -23,6 +24,10 @@ DAMPING = 1e-5
 """Weight in the fit that keeps the taps small, relative to the largest singular value."""
 
 
+ROLL_OFF = 2600.0, 3000.0
+"""Frequencies between which the current of a tip in air is taken to vanish [Hz]."""
+SPAN = 2048
+"""Length of the transforms by which it is predicted [samples]."""
 LOWEST_RATE, HIGHEST_RATE = 6000.0, 16000.0
 """Sample rates between which filters of `BEFORE` and `AFTER` samples reach up to 2600 Hz and last
 longer than a loaded bender swings: their error is then below 0.1 % of the charge [Hz]."""
@@ -36,6 +41,25 @@ def _fitted_taps(response: Complex, sample_rate: float) -> Floats:
     right = np.concatenate([response.real, response.imag], axis=1)
     u, s, vt = np.linalg.svd(left, full_matrices=False)
     return np.asarray((right @ u * (s / (s**2 + (DAMPING * s[0]) ** 2))) @ vt)
+
+
+def _tip_in_air(baseline: Baseline, sample_rate: float) -> Complex:
+    """Return the transform (N, SPAN/2 + 1) of what tips in air draw per step of the drive.
+
+    The response begins `BEFORE` samples before the step. It is that of the frequency response up to
+    `ROLL_OFF`, since drive has no parts above it.
+    """
+    frequency = np.fft.rfftfreq(SPAN, 1 / sample_rate)
+    inside = np.maximum(np.minimum(frequency, ROLL_OFF[1]), 1.0)
+    step = 1 - np.exp(-2j * np.pi * inside / sample_rate)
+    force, stiffness = baseline.tip(inside)
+    low, high = ROLL_OFF
+    share = (1 + np.cos(np.pi * np.clip((frequency - low) / (high - low), 0, 1))) / 2
+    charge = force**2 / stiffness * baseline.measuring(inside)
+    begin = np.exp(-2j * np.pi * frequency / sample_rate * BEFORE)
+    response = np.fft.irfft(2j * np.pi * inside / step * charge * share * begin, SPAN)
+    response[:, BEFORE + AFTER + EARLIER + 1 :] = 0
+    return np.asarray(np.fft.rfft(response))
 
 
 def _stacked(response: Complex) -> Floats:
@@ -66,6 +90,8 @@ class CurrentModel:
         Response of the dielectric to a step of the drive, from `BEFORE` samples before it [A/V].
     shared : (R, T) array of float
         Filters that span the responses of the loaded tips [A/V].
+    air : (N, `SPAN` // 2 + 1) array of complex
+        Discrete Fourier transform of the response of the tips that nothing touches [A/V].
     """
 
     def __init__(self, baseline: Baseline, population: Population, sample_rate: float) -> None:
@@ -80,6 +106,7 @@ class CurrentModel:
         force, stiffness = baseline.tip(FITTED)
         drawn = rng.integers(len(force), size=DRAWS)
         source = rate * force**2 * baseline.measuring(FITTED)
+        self.air = _tip_in_air(baseline, sample_rate)
         responses = source[drawn] / (stiffness[drawn] + load_stiffness(loads, FITTED))
         _, _, span = np.linalg.svd(_stacked(responses), full_matrices=False)
         shared = span[:SHARED, : len(FITTED)] + 1j * span[:SHARED, len(FITTED) :]
@@ -89,6 +116,26 @@ class CurrentModel:
         rate = 2j * np.pi * GRID / (1 - np.exp(-2j * np.pi * GRID / sample_rate))
         force, self._stiffness = baseline.tip(GRID)
         self._source = rate * force**2 * baseline.measuring(GRID)
+
+    def air_sums(self, window: SumWindow) -> Floats:
+        """Predict the sums of the current that tips in air draw.
+
+        Parameters
+        ----------
+        window : SumWindow
+            Window with the drive; its sums are not read.
+
+        Returns
+        -------
+        (N, LAGS) array of float
+            Sums of the mechanical part of the current in air [A V].
+        """
+        steps = np.concatenate([window.earlier, window.steps], axis=1)
+        drawn = np.fft.irfft(np.fft.rfft(steps, SPAN) * self.air, SPAN)
+        begin = EARLIER + AFTER
+        current = drawn[:, begin + BEFORE : begin + BEFORE + window.samples]
+        lagged = sliding_window_view(steps[:, begin - LAGS + 1 : -MARGIN], window.samples, axis=1)
+        return np.asarray((lagged @ current[..., None])[:, ::-1, 0])
 
     def weights(self, logarithms: Floats) -> tuple[Floats, Floats]:
         """Compute the weights of the shared filters for loads, and their derivatives.

@@ -8,6 +8,10 @@ as a part of the current. Each contactor is estimated by itself; a design study 
 anything by a joint estimate at a converter range of 2.5 mA. They share only the rate at which their
 loads change, since they are under one finger.
 
+A contactor that nothing touches draws the current of the baseline. Of each window it is tested
+whether that explains the current better than any finger does: if so, the contactor is in air, its
+load is forgotten, and its capacitance is followed.
+
 The constants below are per window of 25 ms. Those that are neither measured nor derived were chosen
 on the benchmark `sensing`, within a range that changes its figures by less than 0.1 dB.
 """
@@ -57,6 +61,9 @@ TINY = 1e-30
 """Number added to the eigenvalues, so that a drive at rest has none of zero [V²]."""
 SETTLING_WINDOWS = 3
 """Number of windows after a touch whose changes say nothing about the rate of the load."""
+DECISIVE = 12.0
+"""Difference of the squares of two whitened residuals from which the one with the smaller residual
+is believed: a likelihood ratio of 400."""
 RATE_GAIN = 0.35
 """Share of the latest change of the mean scale in its smoothed rate."""
 
@@ -74,11 +81,14 @@ class Estimate:
     inconsistency : (N,) array of float
         Mean square of the whitened residual: up to about 1 where the model explains the current,
         and infinite where a window was not valid.
+    touching : (N,) array of bool
+        Whether a finger is on the contactor. Where none is, the load is that of the population.
     """
 
     logarithms: Floats
     covariance: Floats
     inconsistency: Floats
+    touching: NDArray[np.bool_]
 
 
 class LoadEstimator:
@@ -108,6 +118,7 @@ class LoadEstimator:
         self._state = np.tile(self._mean, (n, 1))
         self._covariance = np.tile(self._prior, (n, 1, 1))
         self._windows, self._rate = np.zeros(n, np.intp), 0.0
+        self._touching = np.ones(n, np.bool_)
 
     def restart(self, contactors: NDArray[np.bool_]) -> None:
         """Forget the finger on some contactors, for instance because they have been touched again.
@@ -147,7 +158,8 @@ class LoadEstimator:
         state = expected
         predicted = (1 - FORGETTING) * self._covariance + self._added
         information = np.linalg.inv(predicted)
-        rounds = FIRST_ITERATIONS if self._windows.min() < FIRST_WINDOWS else ITERATIONS
+        settling = self._touching & (self._windows < FIRST_WINDOWS)
+        rounds = FIRST_ITERATIONS if settling.any() else ITERATIONS
         for left in reversed(range(rounds)):
             residual, slope = whitened.residual(self._model, state)
             inconsistency = np.mean(residual**2, axis=1)
@@ -162,15 +174,46 @@ class LoadEstimator:
         self._covariance, self._state = np.linalg.inv(hessian), state
         inconsistency = np.where(valid, np.mean(residual**2, axis=1), np.inf)
         counted = (self._windows >= SETTLING_WINDOWS) & (inconsistency <= CONSISTENT)
+        self._windows += valid
+        lifted = self._test_air(whitened, valid, before, predicted, np.sum(residual**2, axis=1))
+        inconsistency = np.where(np.isnan(lifted), inconsistency, lifted)
+        counted &= self._touching
         if counted.any():
             change = float(np.mean((state - before)[counted, :CONSTANTS]))
             self._rate += RATE_GAIN * (change - self._rate)
-        self._windows += valid
         return Estimate(
-            state[:, :CONSTANTS].copy(),
+            self._state[:, :CONSTANTS].copy(),
             self._covariance[:, :CONSTANTS, :CONSTANTS].copy(),
             inconsistency,
+            self._touching.copy(),
         )
+
+    def _test_air(
+        self,
+        whitened: "_Whitened",
+        valid: NDArray[np.bool_],
+        before: Floats,
+        predicted: Floats,
+        touched: Floats,
+    ) -> Floats:
+        """Decide which contactors are in air, and let them follow their capacitance.
+
+        ``touched`` (N,) are the squares of the residuals under a finger. Return the mean square of
+        the residual of each contactor in air, and NaN of the others.
+        """
+        electrical = whitened.electrical * np.exp(before[:, CONSTANTS, None])
+        residual = whitened.measured - electrical - whitened.air
+        information = (electrical**2).sum(axis=1) + 1 / predicted[:, CONSTANTS, CONSTANTS]
+        drift = (electrical * residual).sum(axis=1) / information
+        squares = np.sum((residual - drift[:, None] * electrical) ** 2, axis=1)
+        better = squares - touched
+        sure = valid & (np.abs(better) > DECISIVE)
+        self._touching = np.where(sure, better > 0, self._touching)
+        air = ~self._touching & valid
+        self.restart(~self._touching)
+        self._state[air, CONSTANTS] = before[air, CONSTANTS] + drift[air]
+        self._covariance[air, CONSTANTS, CONSTANTS] = 1 / information[air]
+        return np.where(air, squares / residual.shape[1], np.nan)
 
     def ahead(self, windows: float) -> Floats:
         """Extrapolate the loads by the present rate of their common change.
@@ -193,12 +236,13 @@ class LoadEstimator:
 class _Whitened:
     """Sums of a window and their prediction, whitened.
 
-    ``measured`` (N, J), ``electrical`` (N, J) and ``shared`` (N, J, R) are the measured sums and
-    those of the model's filters.
+    ``measured`` (N, J), ``electrical`` (N, J), ``air`` (N, J) and ``shared`` (N, J, R) are the
+    measured sums and those of the model's filters.
     """
 
     measured: Floats
     electrical: Floats
+    air: Floats
     shared: Floats
 
     @classmethod
@@ -218,6 +262,7 @@ class _Whitened:
         return cls(
             measured / deviation,
             np.einsum("njt,nt->nj", through, model.electrical),
+            np.einsum("njl,nl->nj", turned, model.air_sums(window)),
             through @ model.shared.T,
         )
 

@@ -6,6 +6,7 @@ only changes their weights.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import GRID, STOP_BAND, fit_taps
@@ -75,18 +76,23 @@ class InverseMix:
         pull = np.einsum("nbf,nf->nb", left.conj(), right).real
         return np.linalg.solve(gram, pull[..., None])[..., 0]
 
-    def taps(self, logarithms: Floats) -> Floats:
+    def taps(self, logarithms: Floats, touching: NDArray[np.bool_] | None = None) -> Floats:
         """Mix the filters for loads.
 
         Parameters
         ----------
         logarithms : (N, 4) array of float
             Logarithms of the constants of each contactor's load.
+        touching : (N,) array of bool, optional
+            Contactors that have a load; the others move in air. By default all have one.
 
         Returns
         -------
         (N, T) array of float
             Filter of each contactor [V/m].
         """
-        mixed = np.einsum("nb,nbt->nt", self.weights(logarithms), self._fixed[:, 1:])
+        weights = self.weights(logarithms)
+        if touching is not None:
+            weights *= touching[:, None]
+        mixed = np.einsum("nb,nbt->nt", weights, self._fixed[:, 1:])
         return np.asarray(self._fixed[:, 0] + mixed)

@@ -1,0 +1,182 @@
+"""Windows of correlated currents, as a bus delivers them, together with the drive of their samples.
+
+Amplifiers send windows in parts, by channels. `SumWindows` keeps the drive that was written, puts
+the parts of a window together in the order of the contactors, and passes a window on as soon as all
+of it has come and the drive shortly after it is known.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.arrays import Floats
+from tactile.bus.base import Bus
+from tactile.bus.correlations import CorrelationWindow
+from tactile.display.display import Display
+from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
+
+KEPT = 2.0
+"""Time for which the drive is kept; a window that comes later is dropped [s]."""
+HISTORY = EARLIER + AFTER + 1
+"""Number of samples of drive before a window that are needed."""
+DOUBTED = 0.25
+"""Time after a disturbance of the drive for which windows are not valid: amplifiers report how many
+samples they limited, bridged or lacked each quarter of a second [s]."""
+
+
+@dataclass(frozen=True)
+class PlayedWindow:
+    """Window of all contactors.
+
+    Attributes
+    ----------
+    position, end : int
+        Position of its first sample, and of the first one after it.
+    window : SumWindow
+        Sums and drive. They are valid where the current was within the range and the drive is
+        known.
+    clipped : (N,) array of bool
+        Whether the current was beyond the range.
+    current_range : float
+        Current at the end of the range [A].
+    """
+
+    position: int
+    end: int
+    window: SumWindow
+    clipped: NDArray[np.bool_]
+    current_range: float
+
+
+@dataclass
+class _Parts:
+    """Parts of a window that have come."""
+
+    samples: int
+    current_range: float
+    sums: Floats
+    rounding: Floats
+    clipped: NDArray[np.bool_]
+    missing: set[int]
+
+
+class SumWindows:
+    """Windows of a bus as the estimator of loads takes them.
+
+    Parameters
+    ----------
+    display : Display
+        Display whose N contactors the bus drives.
+    bus : Bus
+        Bus that correlates.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of windows that were dropped, because a part of them or their drive was missing.
+    """
+
+    def __init__(self, display: Display, bus: Bus) -> None:
+        self._display, self._bus = display, bus
+        self._rate = bus.wiring.sample_rate
+        self._begin: int | None = None
+        """Position of the first sample of the stream."""
+        self._drive = np.zeros((HISTORY, len(display.contactors)))
+        """Drive up to the latest position."""
+        self._end = 0
+        """Position after the latest sample of the drive."""
+        self._parts: dict[int, _Parts] = {}
+        self._ready: deque[tuple[int, _Parts]] = deque()
+        self._disturbed, self._doubted_until = self._disturbances(), -1
+        self.dropped = 0
+
+    def wrote(self, position: int, drive: Floats) -> None:
+        """Note drive that has been written.
+
+        Parameters
+        ----------
+        position : int
+            Position of the first sample, which follows the last one.
+        drive : (S, N) array of float
+            Drive of each contactor [V].
+        """
+        if self._begin is None:
+            self._begin = self._end = position
+        kept = HISTORY + round(KEPT * self._rate)
+        self._drive = np.concatenate([self._drive, drive])[-kept:]
+        self._end = position + len(drive)
+
+    def take(self) -> list[PlayedWindow]:
+        """Return the windows that are complete.
+
+        Returns
+        -------
+        list of PlayedWindow
+            Windows in order.
+        """
+        for part in self._bus.take_correlations():
+            self._add(part)
+        self._note_disturbances()
+        windows = []
+        while self._ready and self._ready[0][0] + self._ready[0][1].samples + MARGIN <= self._end:
+            position, parts = self._ready.popleft()
+            steps = self._steps(position, parts.samples)
+            if steps is None:
+                self.dropped += 1
+                continue
+            end = position + parts.samples
+            valid = ~parts.clipped & (end > self._doubted_until)
+            window = SumWindow(
+                parts.sums, steps[:, EARLIER:], 2 * parts.rounding, valid, steps[:, :EARLIER]
+            )
+            windows.append(PlayedWindow(position, end, window, parts.clipped, parts.current_range))
+        return windows
+
+    def _add(self, part: CorrelationWindow) -> None:
+        """Add a part of a window; windows before it that are not complete never will be."""
+        if self._begin is None or part.position < self._begin:
+            return
+        count = len(self._display.contactors)
+        for position in [p for p in self._parts if p < part.position]:
+            del self._parts[position]
+            self.dropped += 1
+        parts = self._parts.get(part.position)
+        if parts is None:
+            parts = _Parts(
+                part.samples, part.current_range, np.zeros((count, LAGS)), np.zeros(count),
+                np.zeros(count, np.bool_), set(range(count)),
+            )  # fmt: skip
+            self._parts[part.position] = parts
+        for contactor, channel in enumerate(self._display.channel.tolist()):
+            row = channel - part.first_channel
+            if 0 <= row < len(part.sums):
+                parts.sums[contactor], parts.rounding[contactor] = (
+                    part.sums[row],
+                    part.rounding[row],
+                )
+                parts.clipped[contactor] = part.clipped[row]
+                parts.missing.discard(contactor)
+        if not parts.missing:
+            self._ready.append((part.position, self._parts.pop(part.position)))
+
+    def _steps(self, position: int, samples: int) -> Floats | None:
+        """Return the steps of the drive around a window; None if they are not known any more."""
+        begin = len(self._drive) - (self._end - position) - HISTORY
+        if begin < 0:
+            return None
+        stop = begin + HISTORY + samples + MARGIN
+        return np.asarray(np.diff(self._drive[begin:stop], axis=0).T)
+
+    def _disturbances(self) -> int:
+        """Return how often the drive was not what was written, as far as it is known."""
+        bus = self._bus
+        return bus.correlation_counters.disturbed + bus.unplayed + bus.counters.clipped_samples
+
+    def _note_disturbances(self) -> None:
+        """Doubt the windows from now on for a while if the drive was disturbed."""
+        disturbed = self._disturbances()
+        if disturbed != self._disturbed:
+            self._disturbed = disturbed
+            self._doubted_until = self._end + round(DOUBTED * self._rate)

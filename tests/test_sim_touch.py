@@ -171,8 +171,8 @@ def test_windows_of_currents_belong_to_the_drive(
     """Sums over the currents at the instants of the drive, in a second stroke as well.
 
     Noise and steps of the converter are 1.3 µA rms, so that a sum of 80 samples is off by 1.3 µA
-    √80 times the rms of the steps; six times that are allowed. A sample of misalignment would change
-    the sums by their size.
+    √80 times the rms of the steps; six times that are allowed. A sample of misalignment would
+    change the sums by their size.
     """
     bus = opened(display, f"sim:?keep=all&correlation_ms=10&{options}")
     assert bus.correlates

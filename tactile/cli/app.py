@@ -46,6 +46,7 @@ COMMANDS = {
     "study": CommandEntry(DESIGN, "Sweep the parameters of a bender and compare the designs."),
     "bench": CommandEntry(DEVICES, "Measure the performance of this machine or of a link."),
     "budget": CommandEntry(DEVICES, "List the sample formats and rates that fit on a link."),
+    "calibrate": CommandEntry(DEVICES, "Measure the benders of a display in air."),
     "check": CommandEntry(
         DEVICES, "Check the amplifier, the wiring and the channels of a display."
     ),

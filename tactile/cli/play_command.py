@@ -3,6 +3,7 @@
 import math
 import sys
 from contextlib import nullcontext, suppress
+from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from tactile.files import SourceFile
     from tactile.playback.outcome import Outcome
     from tactile.playback.runs import Summary
+    from tactile.sensing.baseline_file import Calibration
     from tactile.texture.formats.effect_shear import NamedEffect
 
 STROKE = {
@@ -40,6 +42,13 @@ STROKE = {
 LARGEST_GAIN = 1e3
 ALLOWED_LOSS = "0.1%"
 """Largest share that may be lost unless the user names another: 5 ms of 5 s (assumed)."""
+
+
+class PlayedFinger(StrEnum):
+    """Finger for which the equalizer's filters are made."""
+
+    FIXED = "fixed"
+    FOLLOW = "follow"
 
 
 def run(
@@ -89,6 +98,20 @@ def run(
     quiet: Annotated[
         bool, typer.Option("--quiet", help="Print neither the live picture nor the report.")
     ] = False,
+    finger: Annotated[
+        PlayedFinger,
+        typer.Option(
+            help="Finger that the equalizer expects: the fixed one of the display file, or the one "
+            "that the currents of the device tell of (follow), which needs tactile calibrate."
+        ),
+    ] = PlayedFinger.FIXED,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of tactile calibrate, with --finger follow; by default the name of the "
+            "display with .sensing.npz."
+        ),
+    ] = None,
     allow_loss: Annotated[
         str,
         typer.Option(
@@ -134,12 +157,33 @@ def run(
             device=device, gain=factor, sample_rate=sample_rate_hz, seed=seed, record=record,
             sources=Sources(display_source, what.source), watch=watch, realtime=watched,
             accept_unsafe_hold=accept_unsafe_hold,
+            calibration=_calibration(finger, calibration, loaded),
         )  # fmt: skip
     if as_json or not quiet:
         title = _title(summary.outcome, what.description)
         rows = {"put out": _put_out(summary)} | what.rows
         emit(summary.as_dict(), as_json, lambda facts: print_facts(rows | _report(facts), title))
     raise typer.Exit(_exit_code(summary, allowed))
+
+
+def _calibration(
+    finger: PlayedFinger, file: Path | None, display: "tactile.Display"
+) -> "Calibration | None":
+    """Return the calibration for a stroke that follows the finger; None for a fixed one."""
+    if finger is PlayedFinger.FIXED:
+        if file is not None:
+            raise InputError("--calibration: is used with --finger follow only")
+        return None
+    from tactile.playback.finger_following import default_calibration
+    from tactile.sensing.baseline_file import load_calibration
+
+    path = file or default_calibration(display.name)
+    if not path.exists():
+        raise InputError(
+            f"{path}: no such file; measure the display in air first: tactile calibrate DEVICE "
+            f"--display {display.name}"
+        )
+    return load_calibration(path)
 
 
 class _Request(NamedTuple):
@@ -326,14 +370,37 @@ def _shear(commanded: dict[str, Any] | None, played: dict[str, Any] | None) -> d
     )
 
 
+def _equalizer(s: dict[str, Any]) -> dict[str, str]:
+    """Return the lines about the equalizer."""
+    f = s["following"]
+    if f is None:
+        error = f"within {s['equalizer_error_db']:.2f} dB of the inverse response, 10–1000 Hz"
+        return {"equalizer": error}
+    if f["deviation_db"] is None:
+        return {"equalizer": "for air: no finger was felt"}
+    rows = {
+        "equalizer": f"follows the finger, to ± {f['deviation_db']:.2f} dB by its own estimate",
+        "finger": f"on {100 * f['touched_share']:.0f}% of the contactors in {f['windows']} windows",
+    }
+    changes = {"lifted": f["lifted"], "touched again": f["touched"]}
+    if any(changes.values()):
+        rows["finger"] += ", " + ", ".join(f"{n} times {what}" for what, n in changes.items() if n)
+    if f["unexplained_share"] or f["dropped_windows"]:
+        rows["windows"] = (
+            f"{f['dropped_windows']} not usable; {100 * f['unexplained_share']:.1f}% of the "
+            "currents are those of no finger"
+        )
+    return rows
+
+
 def _samples(s: dict[str, Any]) -> dict[str, str]:
     """Return the lines about a device that takes samples."""
     rows = _shear(s["commanded"], s["played"]) | {
         "attainable": f"{s['attainable_um']:.1f} µm peak at every frequency up to 1 kHz",
         "drive": f"{s['peak_drive_v']:.1f} V peak of {s['voltage_limit_v']:.0f} V, "
         f"{s['limited_samples']} samples limited",
-        "equalizer": f"within {s['equalizer_error_db']:.2f} dB of the inverse response, 10–1000 Hz",
     }
+    rows |= _equalizer(s)
     if s["signal_to_error_db"] is not None:
         rows["played"] = (
             f"{s['signal_to_error_db']:.1f} dB signal-to-error ratio of the displacement, "

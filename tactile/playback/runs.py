@@ -12,11 +12,17 @@ from threadpoolctl import threadpool_limits
 
 from tactile.arrays import Floats
 from tactile.bus.base import Bus, BusStatus
+from tactile.bus.registry import with_default_option
 from tactile.clock import MONOTONIC
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.errors import BusError, InputError
 from tactile.playback.estop_guard import guarded
+from tactile.playback.finger_following import (
+    WINDOW_MS,
+    FingerFollowing,
+    FollowingFigures,
+)
 from tactile.playback.gain_search import largest_gain
 from tactile.playback.origin import (
     Provenance,
@@ -32,6 +38,7 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
+from tactile.sensing.baseline_file import Calibration
 from tactile.sim import Fidelity, SimulatedDisplay
 from tactile.strength.figures import ONSET, ShearFigures, StrokeMeter
 from tactile.strength.strength import amplified
@@ -95,6 +102,8 @@ class Summary:
         Counts of the link's faults.
     recording : str or None
         File of the recording.
+    following : FollowingFigures or None
+        Figures of a stroke that followed the finger.
     """
 
     texture: str
@@ -121,6 +130,7 @@ class Summary:
     status: str = ""
     faults: dict[str, int] = field(default_factory=dict)
     recording: str | None = None
+    following: FollowingFigures | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the summary as plain data.
@@ -212,6 +222,7 @@ class _Run:
         *,
         realtime: bool,
         waveform: Floats | None = None,
+        following: FingerFollowing | None = None,
     ) -> None:
         """Play to the end, and complete the summary.
 
@@ -229,6 +240,8 @@ class _Run:
             Whether to play in step with the clock.
         waveform : (S,) array of float, optional
             Shear that is added on all contactors [m].
+        following : FingerFollowing, optional
+            What follows the finger.
         """
 
         def listen(block: PlayedBlock) -> None:
@@ -241,7 +254,7 @@ class _Run:
             return play(
                 display, renderer, trajectory, self._bus,
                 sample_rate=self._rate, listen=listen, clock=MONOTONIC if realtime else None,
-                waveform=waveform,
+                waveform=waveform, written=None if following is None else following.wrote,
             )  # fmt: skip
 
         planned = round(trajectory.duration * self._rate)
@@ -255,6 +268,8 @@ class _Run:
             self._write(None)
             self._describe()
         self._finish(renderer)
+        if following is not None:
+            self.summary.following = following.figures
         if error is not None:
             raise error
 
@@ -328,6 +343,7 @@ def run(
     watch: Callable[[PlayedBlock, Renderer], None] | None = None,
     realtime: bool = False,
     accept_unsafe_hold: bool = False,
+    calibration: Calibration | None = None,
 ) -> Summary:
     """Play a texture along a trajectory on a device, or an effect on a finger at rest.
 
@@ -361,6 +377,8 @@ def run(
         Whether to play in step with the clock.
     accept_unsafe_hold : bool
         As in `open_bus`.
+    calibration : Calibration, optional
+        What the display's benders draw in air; with it, the equalizer follows the finger.
 
     Returns
     -------
@@ -375,21 +393,24 @@ def run(
     """
     if record is not None:
         checked_suffix(record)  # before the device is opened
+    asked = device if calibration is None else _asked_for_currents(device, record)
     summary = Summary(texture.name, display.name, device, voltage_limit_v=display.limits.voltage)
     with open_bus(
-        device, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
+        asked, display, sample_rate=sample_rate, accept_unsafe_hold=accept_unsafe_hold
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
-        if gain == "auto":
-            gain = _set_largest_gain(summary, display, texture, trajectory, seed)
-        summary.gain = gain
-        surface, waveform = _amplified(display, texture, gain, rate)
+        following = None if calibration is None else FingerFollowing(display, bus, calibration)
+        _set_gain(summary, gain, display, texture, trajectory, seed)
+        surface, waveform = _amplified(display, texture, summary.gain, rate)
         try:
             with guarded(bus, device), threadpool_limits(1):  # whose number changes the last bits
                 if bus.frames is not None:
                     _play_frames(summary, display, surface, trajectory, bus, seed, record)
                 else:
-                    renderer = Renderer(display, surface, sample_rate=rate, seed=seed)
+                    renderer = Renderer(
+                        display, surface, sample_rate=rate, seed=seed,
+                        inverse=None if following is None else following.follower,
+                    )  # fmt: skip
                     recorder = _recorder(
                         summary, display, trajectory, seed, record, sources, waveform
                     )
@@ -399,7 +420,7 @@ def run(
                     )  # fmt: skip
                     account.play(
                         display, renderer, trajectory, watch,
-                        realtime=realtime, waveform=waveform,
+                        realtime=realtime, waveform=waveform, following=following,
                     )  # fmt: skip
         except BusError as error:  # after `guarded` has latched the e-stop of an amplifier
             if not bus.next_position:
@@ -412,20 +433,33 @@ def run(
     return summary
 
 
-def _set_largest_gain(
+def _asked_for_currents(url: str, record: str | Path | None) -> str:
+    """Return the URL of a device that is asked for what a stroke needs to follow the finger."""
+    if record is not None:
+        raise InputError(
+            "--record: a stroke that follows the finger cannot be rendered again; play with "
+            "--finger fixed to record it"
+        )
+    return with_default_option(url, "correlation_ms", str(WINDOW_MS))
+
+
+def _set_gain(
     summary: Summary,
+    gain: float | Literal["auto"],
     display: Display,
     texture: Texture | NamedEffect,
     trajectory: Trajectory,
     seed: int,
-) -> float:
-    """Return the largest gain of a stroke; the summary names the limit that it reaches."""
+) -> None:
+    """Note the gain in the summary; if it is the largest, with the limit that it reaches."""
+    if gain != "auto":
+        summary.gain = gain
+        return
     if isinstance(texture, NamedEffect):
         raise InputError(f"gain auto cannot be used with the effect {texture.name}: give a number")
     rate = summary.sample_rate_hz
     largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
-    summary.gain_limit = largest.limit
-    return largest.value
+    summary.gain, summary.gain_limit = largest.value, largest.limit
 
 
 def _amplified(

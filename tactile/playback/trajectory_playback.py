@@ -61,6 +61,7 @@ def play(
     listen: Callable[[PlayedBlock], None],
     clock: Clock | None = None,
     waveform: Floats | None = None,
+    written: Callable[[int, Floats], None] | None = None,
 ) -> BusStatus:
     """Play a trajectory to its end.
 
@@ -82,6 +83,9 @@ def play(
         Clock to wait for each block's time by, on a bus that does not wait; None to go ahead.
     waveform : (S,) array of float, optional
         Shear that is added on all contactors, from the first sample on [m].
+    written : callable, optional
+        Function that is called with the position of each block and its drive (S, N) when the block
+        has been written [V].
 
     Returns
     -------
@@ -101,6 +105,8 @@ def play(
             start_time = 0.0 if clock is None else clock.now()
         bus.write(DriveBlock(sent, display.to_channels(drive)))
         _check_estop(bus)
+        if written is not None:
+            written(sent, drive)
         sent += len(drive)
         if played is not None:
             listen(played)

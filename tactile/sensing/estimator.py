@@ -64,6 +64,9 @@ SETTLING_WINDOWS = 3
 DECISIVE = 12.0
 """Difference of the squares of two whitened residuals from which the one with the smaller residual
 is believed: a likelihood ratio of 400."""
+CONVERGED = 2
+"""Number of windows after a touch from which on a finger is said to have lifted, since the estimate
+of the first one may still be far off."""
 RATE_GAIN = 0.35
 """Share of the latest change of the mean scale in its smoothed rate."""
 
@@ -208,6 +211,7 @@ class LoadEstimator:
         squares = np.sum((residual - drift[:, None] * electrical) ** 2, axis=1)
         better = squares - touched
         sure = valid & (np.abs(better) > DECISIVE)
+        sure &= ~self._touching | (self._windows >= CONVERGED)
         self._touching = np.where(sure, better > 0, self._touching)
         air = ~self._touching & valid
         self.restart(~self._touching)

@@ -3,6 +3,7 @@
 `save` writes a figure to a file. `tactile.study.plots` has the figures of design studies.
 """
 
+from tactile.show.plots.calibration import calibration_figure as calibration_figure
 from tactile.show.plots.effect import effect_figure as effect_figure
 from tactile.show.plots.fit import fit_figure as fit_figure
 from tactile.show.plots.played import Played as Played

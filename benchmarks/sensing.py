@@ -18,6 +18,7 @@ from benchmarks.sensing_loop import (
     Moment,
     design,
     draw_case,
+    planned,
     references,
     steady,
     swinging,
@@ -27,8 +28,9 @@ from tactile.actuator.finger import FingerLoad
 from tactile.arrays import Floats
 from tactile.bench.figures import Figure, at_least, at_most, seconds
 from tactile.rendering.equalizer import Equalizer, FollowingEqualizer, InverseFilter
-from tactile.sensing.baseline import Baseline
+from tactile.sensing.baseline import NEAR, Baseline, fit_baseline
 from tactile.sensing.bender import Deviations
+from tactile.sensing.calibration import calibration_lines
 from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import LoadEstimator
@@ -59,6 +61,7 @@ def measure_sensing() -> Iterator[Figure]:
     """Measure the equalizer that follows the finger, and what it costs."""
     converter = Converter()
     case = draw_case(FINGERS, CONTACTORS, converter, seed=7)
+    yield from _calibration(case, converter)
     yield from _swinging(case, converter)
     yield from _steady(case, converter)
     yield from _conditions(converter)
@@ -66,6 +69,43 @@ def measure_sensing() -> Iterator[Figure]:
     yield _pilot(case)
     yield _transient()
     yield from _cost()
+
+
+def _calibration(case: Case, converter: Converter) -> Iterator[Figure]:
+    """Yield how long the calibration takes, and its errors against a fit to exact admittances."""
+    n, plan = CONTACTORS, planned(converter)
+    plant = SensingPlant(
+        Fingers(*np.exp(case.logarithms[:n]).T), case.tolerances.first(n), sample_rate=RATE
+    )
+    air = plant.admittance(plan.lines, np.zeros(n))
+    exact, own = fit_baseline(plan.lines, air, design()), case.array
+    frequency = np.geomspace(60, 2500, 100)
+    away = np.abs(frequency / design().resonance - 1) > NEAR
+    error = np.abs(own.charge(frequency) / exact.charge(frequency) - 1)[:, away]
+    coupling = np.abs(own.deviations.coupling / exact.deviations.coupling - 1)
+    yield at_most("sensing, calibration: duration", plan.seconds, "s", 10.0)
+    yield Figure("sensing, calibration: error of the capacitance", 100 * rms(error), "%")
+    yield Figure("sensing, calibration: largest error of d31", 100 * float(coupling.max()), "%")
+    fit = seconds(lambda: fit_baseline(plan.lines, air, design()), 3)
+    yield Figure("sensing, calibration: fit of 24 contactors", fit, "s")
+    touched = _touched(case, 0.05)
+    yield at_least("sensing, calibration: fingers of 0.05 N that are named", touched, "%", 100)
+
+
+def _touched(case: Case, force: float) -> float:
+    """Return the share of contactors [%] whose fault is named if a finger stays on them."""
+    plant = SensingPlant(Fingers(*np.exp(case.logarithms).T), case.tolerances, sample_rate=RATE)
+    some = np.arange(0, len(case.logarithms), 5)
+    lines = calibration_lines(design().resonance)
+    loaded = plant.admittance(lines, np.full(len(case.logarithms), np.sqrt(force)))[some]
+    return 100 * float(
+        np.mean([fault != "" for fault in fit_baseline(lines, loaded, design()).faults])
+    )
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _swinging(case: Case, converter: Converter) -> Iterator[Figure]:

@@ -78,6 +78,11 @@ class PlantTolerances:
         one = np.ones(contactors)
         return cls(one, one, one, 0 * one)
 
+    def first(self, contactors: int) -> "PlantTolerances":
+        """Return the tolerances of the first contactors."""
+        columns = self.stiffness, self.coupling, self.mass, self.cable
+        return PlantTolerances(*(column[:contactors] for column in columns))
+
     @classmethod
     def drawn(cls, contactors: int, rng: np.random.Generator) -> "PlantTolerances":
         """Draw ±5 % of stiffness, ±10 % of d31, ±1 % of mass and 100 pF ± 20 % (assumed)."""

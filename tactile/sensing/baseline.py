@@ -208,12 +208,15 @@ def _without_bender(
         if clipped[missing].any():
             return f"current beyond the range of the converter {first}: measure in a wider range"
         return f"no current was measured {first}, or too few windows of it came"
-    farads = float(np.median(charge.real[frequency < (1 - SURROUNDINGS) * bender.resonance]))
-    part = farads / bender.capacitance
+    low = frequency < (1 - SURROUNDINGS) * bender.resonance
+    force, stiffness = bender.at(frequency[low], Deviations(*np.ones((3, 1))))
+    due = float(np.median((bender.capacitance + force**2 / stiffness).real))
+    farads = float(np.median(charge.real[low]))
+    part = farads / due
     if abs(part) < DEAD:
         return "no current: the channel or its sensor is dead"
     if abs(part) < OPEN:
-        return f"no bender: {_picofarads(farads)} where {_picofarads(bender.capacitance)} are due"
+        return f"no bender: {_picofarads(farads)} where {_picofarads(due)} are due"
     if part < 0:
         return "current of wrong sign: its sensor is connected the wrong way round"
     lowest, highest = PLAUSIBLE["capacitance"]

@@ -15,7 +15,7 @@ from texture_rig import CENTERS, EDGES, WITH_BANDS, bands, counted, misses, rms,
 
 from tactile.arrays import Floats
 from tactile.errors import InputError
-from tactile.texture import descriptor
+from tactile.texture import descriptor, surface
 from tactile.texture.surface import Partials, load_texture
 
 # Descriptors
@@ -175,6 +175,25 @@ def test_a_spectrum_that_falls_reports_no_loss(tmp_path: Path) -> None:
     texture = load_texture(write(tmp_path / "falling.toml", stochastic=bands()))
     assert np.abs(texture.band_error_db).max() < 0.2
     np.testing.assert_allclose(texture.band_frequency, CENTERS * 1e3)
+
+
+@pytest.mark.parametrize(
+    "levels",
+    [
+        -1.0 * np.arange(16),
+        np.arange(16) - 20.0,
+        np.where(np.arange(16) == 9, -120.0, 20.0),
+    ],
+    ids=["a fall", "a rise", "a hole"],
+)
+def test_powers_are_those_of_least_squares_without_negative_ones(
+    tmp_path: Path, levels: Floats, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fit once more with `nnls` alone; normal equations of a condition of 1e3 lose 1e-13."""
+    path = write(tmp_path / "fitted.toml", stochastic=bands(tuple(levels.tolist())))
+    own = load_texture(path).amplitude
+    monkeypatch.setattr(surface, "LARGEST_CONDITION", 0.0)
+    np.testing.assert_allclose(own, load_texture(path).amplitude, rtol=1e-11)
 
 
 # Seeds and numbers of waves

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from tactile.actuator.actuator import ActuatorResponse
 from tactile.actuator.amplifier import Amplifier
@@ -156,6 +155,10 @@ class MeasuredPlant:
     def __init__(
         self, coil: VoiceCoil, sample_rate: float, *, contactors: int, amplifier: Amplifier
     ) -> None:
+        # The import takes half a second, which displays of benders are spared.
+        from scipy.signal import lfilter
+
+        self._lfilter = lfilter
         frequency = np.arange(*FITTED, 2.0)
         frequency = np.append(frequency, np.arange(frequency[-1], sample_rate / 2, 20.0)[1:])
         r = coil.response(FingerLoad.none(), frequency)
@@ -180,10 +183,12 @@ class MeasuredPlant:
         current : (S, N) array of float
             Current into each contactor [A].
         """
-        shear, self._states[0] = lfilter(
+        shear, self._states[0] = self._lfilter(
             self._displacement, [1.0], drive, axis=0, zi=self._states[0]
         )
-        current, self._states[1] = lfilter(self._current, [1.0], drive, axis=0, zi=self._states[1])
+        current, self._states[1] = self._lfilter(
+            self._current, [1.0], drive, axis=0, zi=self._states[1]
+        )
         return shear, current
 
 

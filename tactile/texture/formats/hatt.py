@@ -19,7 +19,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import freqz
 
 from tactile.arrays import Floats
 from tactile.errors import InputError
@@ -170,6 +169,8 @@ class ModelSet:
             Density, 0 above half of the sample rate [(m/s²)²/Hz].
         """
         b, a, variance = self.filter_at(speed, normal_force)
+        from scipy.signal import freqz  # The import takes half a second, which servers are spared.
+
         _, response = freqz(b, a, worN=2 * np.pi * frequency / self.sample_rate)
         density = 2 * variance * np.abs(response) ** 2 / self.sample_rate
         return np.asarray(np.where(frequency <= self.sample_rate / 2, density, 0.0))

@@ -38,6 +38,12 @@ SUBSTEPS = 8
 """Number of steps of the integration per sample of the drive."""
 REACH = 16
 """Half length of the interpolation between samples of the drive [samples]."""
+Q, V, FORCE = slice(0, MODES), slice(MODES, 2 * MODES), slice(2 * MODES, 3 * MODES)
+U, BEFORE, INNER, REST = range(3 * MODES, 3 * MODES + 4)
+"""Places of the state: the modes with the force on each, the tip now and a step before, the middle
+of the Maxwell branch, and the place where the finger touched."""
+STATE = REST + 1
+"""Length of the state. The voltage stands behind it."""
 RELAXATIONS = np.geomspace(0.05, 50e3, 13)
 """Relaxation frequencies of the dielectric, about two per decade [Hz]."""
 
@@ -220,6 +226,51 @@ def _update(tip: _Tip, h: float) -> _Update:
     return _Update(qq, qv, vq, vv, hold_q - ramp_q, ramp_q, hold_v - ramp_v, ramp_v)
 
 
+class _Advance:
+    """One step of the integration, as a matrix of each contactor.
+
+    Without the finger's force the step is linear in state and voltage. The force is a gain, which
+    depends on the load, times another linear form of both, and changes the state in proportion.
+    """
+
+    def __init__(self, tip: _Tip, m: _Update, f: Fingers, port: Floats, h: float) -> None:
+        n, corner, mode = len(port), f.k1 / f.d1, np.arange(MODES)
+        relax = np.exp(-corner * h)
+        late, now = (1 - relax) / (corner * h) - relax, 1 - (1 - relax) / (corner * h)
+        self.stiff = f.k0 + 1.5 * f.d0 / h + f.k1 * (1 - now)
+        A, b = np.zeros((STATE + 1, STATE + 1, n)), np.zeros((STATE, n))
+        for rows, (q, v, f0, f1) in (
+            (Q, (m.qq, m.qv, m.q_f0, m.q_f1)),
+            (V, (m.vq, m.vv, m.v_f0, m.v_f1)),
+        ):
+            for columns, part in ((Q, q), (V, v), (FORCE, f0)):
+                A[rows, columns][mode, mode] = part
+            A[rows, STATE], b[rows] = f1 * tip.drive, f1 * tip.shape
+        A[FORCE, STATE], b[FORCE] = tip.drive, tip.shape
+        A[U] = np.einsum("mn,mjn->jn", tip.shape, A[Q])
+        A[U, STATE] += tip.rest_uv
+        A[BEFORE, U] = A[REST, REST] = 1
+        A[INNER] = now * A[U]
+        A[INNER, INNER] += relax
+        A[INNER, U] += late
+        b[U], b[INNER] = port, now * port
+        pull = self.stiff * A[U]  # the force without the tip's yielding
+        pull[BEFORE] += f.d0 / (2 * h)
+        pull[U] -= 2 * f.d0 / h + f.k1 * late
+        pull[REST] -= f.k0
+        pull[INNER] -= f.k1 * relax
+        A[-1] = pull
+        self._matrix, self._push = A, b
+        self._free = np.empty((STATE + 1, n))
+
+    def step(self, state: Floats, gain: Floats, force: Floats, following: Floats) -> None:
+        """Advance a state with its voltage; write the force and the following state."""
+        free = np.einsum("ijn,jn->in", self._matrix, state, out=self._free)
+        np.multiply(gain, free[-1], out=force)
+        np.multiply(self._push, force, out=following)
+        following += free[:-1]
+
+
 def debye(loss_tangent: float) -> Floats:
     """Compute the strengths of the relaxations that make a constant loss tangent.
 
@@ -282,14 +333,13 @@ class SensingPlant:
         self._strengths = debye(beam.loss_tangent)
         self._h = 1 / (sample_rate * SUBSTEPS)
         self._rng = np.random.default_rng(seed)
-        self._mode = _update(self.tip, self._h)
-        self._port = np.sum(self.tip.shape**2 * self._mode.q_f1, axis=0) + self.tip.rest_uu
+        mode = _update(self.tip, self._h)
+        self._port = np.sum(self.tip.shape**2 * mode.q_f1, axis=0) + self.tip.rest_uu
+        self._advance = _Advance(self.tip, mode, fingers, self._port, self._h)
         at = np.arange(-REACH * SUBSTEPS + 1, REACH * SUBSTEPS) / SUBSTEPS
         self._kernel = np.sinc(at) * np.kaiser(len(at), 8.0)
         self._past = np.zeros((2 * REACH, n))
-        self._q, self._v = np.zeros((2, MODES, n))
-        self._u, self._before, self._inner, self._rest, self._force = np.zeros((5, n))
-        self._modal = np.zeros((MODES, n))
+        self._state = np.zeros((STATE, n))
         self._charges = np.zeros((SUBSTEPS + 3, n))
         self._shear = np.zeros((1, n))
         self._relaxed = np.zeros((len(RELAXATIONS), 1, n))
@@ -360,39 +410,24 @@ class SensingPlant:
     def _moved(self, volts: Floats, scales: Floats) -> tuple[Floats, Floats]:
         """Integrate; return the tips at the samples (S, N) and the mechanical charge at each step.
 
-        The state is that of the last step. The first step of sample n leads to its instant.
+        The first step of sample n leads to its instant. The state is that of the last step.
         """
-        t, m, h = self.tip, self._mode, self._h
-        f, corner = self.fingers, self.fingers.k1 / self.fingers.d1
-        relax = np.exp(-corner * h)
-        late, now = (1 - relax) / (corner * h) - relax, 1 - (1 - relax) / (corner * h)
-        stiff = f.k0 + 1.5 * f.d0 / h + f.k1 * (1 - now)
-        moved, charge = np.empty_like(scales), np.empty_like(volts)
-        for k, volt in enumerate(volts):
-            if k % SUBSTEPS == 0:
-                scale = scales[k // SUBSTEPS]
-                again = (self.scale == 0) & (scale > 0)
-                self._rest[again] = self._inner[again] = self._u[again]
-                self.scale = scale.copy()
-            driven = t.drive * volt
-            q = m.qq * self._q + m.qv * self._v + m.q_f0 * self._modal + m.q_f1 * driven
-            v = m.vq * self._q + m.vv * self._v + m.v_f0 * self._modal + m.v_f1 * driven
-            free = np.einsum("mn,mn->n", t.shape, q) + t.rest_uv * volt
-            memory = f.d0 * (self._before - 4 * self._u) / (2 * h) - f.k0 * self._rest
-            memory -= f.k1 * (relax * self._inner + late * self._u)
-            u = (free - self._port * scale * memory) / (1 + self._port * scale * stiff)
-            force = -scale * (stiff * u + memory)
-            pushed = t.shape * force
-            self._q, self._v = q + m.q_f1 * pushed, v + m.v_f1 * pushed
-            self._modal = driven + pushed
-            self._inner = relax * self._inner + late * self._u + now * u
-            self._before, self._u = self._u, u
-            charge[k] = (
-                np.einsum("mn,mn->n", t.drive, self._q) + t.rest_uv * force + t.rest_vv * volt
-            )
-            if k % SUBSTEPS == 0:
-                moved[k // SUBSTEPS] = u
-        return moved, charge
+        t, gains = self.tip, -scales / (1 + self._port * scales * self._advance.stiff)
+        come = (np.concatenate([self.scale[None], scales[:-1]]) == 0) & (scales > 0)
+        moved, charge, force = np.empty_like(scales), np.empty_like(volts), np.empty_like(volts)
+        states = np.empty((SUBSTEPS + 1, STATE + 1, len(t.capacitance)))
+        first, last = states[0], states[-1, :STATE]
+        last[:] = self._state
+        for n, arriving in enumerate(come):
+            steps = slice(n * SUBSTEPS, (n + 1) * SUBSTEPS)
+            first[:STATE], states[:-1, STATE] = last, volts[steps]
+            first[REST, arriving] = first[INNER, arriving] = first[U, arriving]
+            for now, push, following in zip(states[:-1], force[steps], states[1:], strict=True):
+                self._advance.step(now, gains[n], push, following[:STATE])
+            np.einsum("mn,kmn->kn", t.drive, states[1:, Q], out=charge[steps])
+            moved[n] = states[1, U]
+        self._state, self.scale = last.copy(), scales[-1].copy()
+        return moved, charge + t.rest_uv * force + t.rest_vv * volts
 
     def _dielectric(self, volts: Floats) -> Floats:
         """Return the charge of the dielectric at each step [C]."""

@@ -20,6 +20,7 @@ from PIL import Image
 from test_readme import DOCUMENTS, make_recording, make_session
 
 import tactile
+from tactile.bringup.calibrating import calibrate
 from tactile.files import shipped
 
 WRITTEN = sorted(
@@ -47,6 +48,7 @@ REPLACED = {
     "serial:///dev/ttyACM0?": "mock:?link=serial&",
     "serial:///dev/ttyACM0": "mock:?link=serial",
     "package.module:": "plant:",
+    "--finger follow": "--finger follow --calibration in-air.npz",
 }
 """What replaces a part of a command that does not exist here, by that part."""
 ENDS_WITH = {"tactile estop": (1, "no tactile program that can be stopped is running")}
@@ -86,6 +88,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Image.fromarray(rng.integers(0, 255, (450, 450), np.uint8)).save(place / "map.png")
     make_recording(place / "oak.h5")
     (place / "measured.csv").write_text(measured())
+    calibrate("sim:?finger=air", "reference-24", write=place / "in-air.npz")
     return place
 
 

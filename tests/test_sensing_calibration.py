@@ -208,6 +208,18 @@ def test_channel_with_too_few_windows_is_named(plant: SensingPlant) -> None:
     assert faults[1] == faults[3] == ""
 
 
+def test_amplifiers_that_report_nothing_are_named() -> None:
+    """Measure without any windows."""
+    none = np.zeros((0, 2), np.bool_)
+    windows = AirWindows(
+        np.zeros(0, np.int64), np.zeros((0, 2, LAGS)), np.zeros((0, 2)), none, none
+    )
+    found = measure_admittances(PLAN, windows, played(PLAN))
+    assert np.isnan(found.value).all()
+    assert np.isnan(found.noise).all()
+    assert all("no current was measured at 10 Hz" in fault for fault in fitted(found).faults)
+
+
 def faulty(plant: SensingPlant, fault: str) -> Response:
     """Return the plant's admittance with a fault of contactor 1."""
     air = in_air(plant)

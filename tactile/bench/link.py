@@ -39,10 +39,10 @@ def measure_link(device: str, display: Display, clock: Clock = MONOTONIC) -> Ite
         If the device cannot be opened.
     """
     with open_bus(device, display) as bus:
+        if not amplifiers(bus):
+            raise InputError(f"{device}: has no amplifier that speaks the protocol")
         clock.sleep(DURATION)
         inspected = amplifiers(bus)
-    if not inspected:
-        raise InputError(f"{device}: has no amplifier that speaks the protocol")
     for amplifier in inspected:
         yield Figure(f"link.node_{amplifier.node}.round_trip", 1e3 * amplifier.round_trip, "ms")
         yield Figure(f"link.node_{amplifier.node}.drift", amplifier.drift_ppm, "ppm")

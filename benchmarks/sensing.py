@@ -31,7 +31,7 @@ from tactile.rendering.equalizer import Equalizer, FollowingEqualizer, InverseFi
 from tactile.sensing.baseline import NEAR, Baseline, fit_baseline
 from tactile.sensing.bender import Deviations
 from tactile.sensing.calibration import calibration_lines
-from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
+from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import LoadEstimator
 from tactile.sensing.excitation import TONES, VOLTS
@@ -249,12 +249,15 @@ def _cost() -> Iterator[Figure]:
     contactors = 64
     case = draw_case(2, 32, Converter(), seed=3)
     population = Population.assumed()
-    estimator = LoadEstimator(CurrentModel(case.baseline, population, RATE), population, noise=1e-6)
+    model = CurrentModel(case.baseline, population, RATE)
+    estimator = LoadEstimator(model, population, noise=1e-6)
     mix = InverseMix(case.baseline, RATE, taps=TAPS, delay=DELAY)
     rng = np.random.default_rng(0)
+    steps = rng.standard_normal((contactors, AFTER + WINDOW + MARGIN))
+    drawn = model.electrical + model.weights(case.logarithms)[0] @ model.shared
     window = SumWindow(
-        1e-6 * rng.standard_normal((contactors, LAGS)),
-        rng.standard_normal((contactors, AFTER + WINDOW + MARGIN)),
+        np.einsum("nml,nm->nl", step_products(steps, WINDOW), drawn),
+        steps,
         np.zeros(contactors),
         np.ones(contactors, np.bool_),
         rng.standard_normal((contactors, EARLIER)),

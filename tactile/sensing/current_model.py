@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import irfft, next_fast_len, rfft
 
 from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
@@ -27,7 +28,7 @@ DAMPING = 1e-5
 ROLL_OFF = 2600.0, 3000.0
 """Frequencies between which the current of a tip in air is taken to vanish [Hz]."""
 SPAN = 2048
-"""Length of the transforms by which it is predicted [samples]."""
+"""Period in which its response decays [samples]."""
 LOWEST_RATE, HIGHEST_RATE = 6000.0, 16000.0
 """Sample rates between which filters of `BEFORE` and `AFTER` samples reach up to 2600 Hz and last
 longer than a loaded bender swings: their error is then below 0.1 % of the charge [Hz]."""
@@ -43,8 +44,8 @@ def _fitted_taps(response: Complex, sample_rate: float) -> Floats:
     return np.asarray((right @ u * (s / (s**2 + (DAMPING * s[0]) ** 2))) @ vt)
 
 
-def _tip_in_air(baseline: Baseline, sample_rate: float) -> Complex:
-    """Return the transform (N, SPAN/2 + 1) of what tips in air draw per step of the drive.
+def _tip_in_air(baseline: Baseline, sample_rate: float) -> Floats:
+    """Return what tips in air draw per step of the drive (N, T).
 
     The response begins `BEFORE` samples before the step. It is that of the frequency response up to
     `ROLL_OFF`, since drive has no parts above it.
@@ -58,8 +59,7 @@ def _tip_in_air(baseline: Baseline, sample_rate: float) -> Complex:
     charge = force**2 / stiffness * baseline.measuring(inside)
     begin = np.exp(-2j * np.pi * frequency / sample_rate * BEFORE)
     response = np.fft.irfft(2j * np.pi * inside / step * charge * share * begin, SPAN)
-    response[:, BEFORE + AFTER + EARLIER + 1 :] = 0
-    return np.asarray(np.fft.rfft(response))
+    return np.asarray(response[:, : BEFORE + AFTER + EARLIER + 1])
 
 
 def _stacked(response: Complex) -> Floats:
@@ -90,8 +90,8 @@ class CurrentModel:
         Response of the dielectric to a step of the drive, from `BEFORE` samples before it [A/V].
     shared : (R, T) array of float
         Filters that span the responses of the loaded tips [A/V].
-    air : (N, `SPAN` // 2 + 1) array of complex
-        Discrete Fourier transform of the response of the tips that nothing touches [A/V].
+    air : (N, BEFORE + AFTER + EARLIER + 1) array of float
+        Response of the tips that nothing touches [A/V].
     """
 
     def __init__(self, baseline: Baseline, population: Population, sample_rate: float) -> None:
@@ -107,6 +107,7 @@ class CurrentModel:
         drawn = rng.integers(len(force), size=DRAWS)
         source = rate * force**2 * baseline.measuring(FITTED)
         self.air = _tip_in_air(baseline, sample_rate)
+        self._air_spectra: dict[int, Complex] = {}
         responses = source[drawn] / (stiffness[drawn] + load_stiffness(loads, FITTED))
         _, _, span = np.linalg.svd(_stacked(responses), full_matrices=False)
         shared = span[:SHARED, : len(FITTED)] + 1j * span[:SHARED, len(FITTED) :]
@@ -131,7 +132,10 @@ class CurrentModel:
             Sums of the mechanical part of the current in air [A V].
         """
         steps = np.concatenate([window.earlier, window.steps], axis=1)
-        drawn = np.fft.irfft(np.fft.rfft(steps, SPAN) * self.air, SPAN)
+        length = next_fast_len(steps.shape[1], real=True)  # what wraps around ends before `begin`
+        if length not in self._air_spectra:
+            self._air_spectra[length] = rfft(self.air, length)
+        drawn = irfft(rfft(steps, length) * self._air_spectra[length], length)
         begin = EARLIER + AFTER
         current = drawn[:, begin + BEFORE : begin + BEFORE + window.samples]
         lagged = sliding_window_view(steps[:, begin - LAGS + 1 : -MARGIN], window.samples, axis=1)

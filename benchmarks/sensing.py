@@ -254,7 +254,7 @@ def _cost() -> Iterator[Figure]:
     mix = InverseMix(case.baseline, RATE, taps=TAPS, delay=DELAY)
     rng = np.random.default_rng(0)
     steps = rng.standard_normal((contactors, AFTER + WINDOW + MARGIN))
-    drawn = model.electrical + model.weights(case.logarithms)[0] @ model.shared
+    drawn = model.electrical + model.weights(case.logarithms) @ model.shared
     window = SumWindow(
         np.einsum("nml,nm->nl", step_products(steps, WINDOW), drawn),
         steps,

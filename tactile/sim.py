@@ -16,7 +16,6 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from firmware_protocol.messages import SampleFormat
 from tactile.actuator.actuator import PlantLike
@@ -422,6 +421,9 @@ class Fidelity:
     """
 
     def __init__(self, sample_rate: float) -> None:
+        from scipy.signal import butter, sosfilt, sosfilt_zi  # 0.3 s, needed for judging only
+
+        self._sosfilt, self._at_rest = sosfilt, sosfilt_zi
         self._filter = butter(4, JUDGED_BAND, "bandpass", fs=sample_rate, output="sos")
         self._state: Floats | None = None
         self._energy = np.zeros(2)
@@ -440,9 +442,9 @@ class Fidelity:
             return
         both = np.stack([commanded, played - commanded], axis=1)
         if self._state is None:
-            rest = sosfilt_zi(self._filter)
+            rest = self._at_rest(self._filter)
             self._state = np.zeros((*rest.shape, *both.shape[1:]))
-        filtered, self._state = sosfilt(self._filter, both, axis=0, zi=self._state)
+        filtered, self._state = self._sosfilt(self._filter, both, axis=0, zi=self._state)
         self._energy += np.sum(filtered**2, axis=(0, 2))
 
     @property

@@ -158,7 +158,8 @@ def test_filters_of_the_current_have_the_response_of_the_formula() -> None:
     plant = tolerant_plant(loads)
     baseline = exact_baseline(plant)
     model = CurrentModel(baseline, Population.assumed(), RATE)
-    weights, slopes = model.weights(loads)
+    weights, slopes = model.weights_and_slopes(loads)
+    np.testing.assert_allclose(model.weights(loads), weights, rtol=1e-12)
     frequency = np.arange(60.0, 2400.0, 37.0)
     turns = np.exp(-2j * np.pi / RATE * np.outer(np.arange(-BEFORE, AFTER + 1), frequency))
     steps = 1 - np.exp(-2j * np.pi * frequency / RATE)
@@ -171,7 +172,7 @@ def test_filters_of_the_current_have_the_response_of_the_formula() -> None:
     assert np.abs(error).max() < 1e-2 * plant.tip.capacitance.min()
     assert np.sqrt(np.mean(np.abs(error) ** 2)) < 1.5e-3 * plant.tip.capacitance.min()
     for constant, step in enumerate(1e-5 * np.eye(4)):
-        change = model.weights(loads + step)[0] - model.weights(loads - step)[0]
+        change = model.weights(loads + step) - model.weights(loads - step)
         np.testing.assert_allclose(
             change / 2e-5, slopes[:, constant], atol=1e-4 * np.abs(slopes).max()
         )

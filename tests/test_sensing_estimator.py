@@ -59,7 +59,7 @@ def window_of(
 ) -> SumWindow:
     """Return the window of the model's own current under loads, with noise and a capacitance."""
     steps = pilot_steps(window)
-    taps = drift * model.electrical + model.weights(loads)[0] @ model.shared
+    taps = drift * model.electrical + model.weights(loads) @ model.shared
     exact = np.einsum("nml,nm->nl", step_products(steps, WINDOW), taps)
     rng = np.random.default_rng(window)
     current = noise * rng.standard_normal((COUNT, WINDOW))

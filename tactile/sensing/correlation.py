@@ -78,19 +78,19 @@ def step_products(steps: Floats, samples: int) -> Floats:
     rows = [np.correlate(row, row[begin:end], "valid")[::-1] for row in steps]
     column = np.array(rows)  # l = 0, m = −MARGIN … AFTER
     reversed_ = steps[:, ::-1]
-    span = column.shape[1] - 1
 
     def at(place: int) -> Floats:
         """Return d[place − m] for all m but the last."""
         first = steps.shape[1] - 1 - (place + MARGIN)
-        return reversed_[:, first : first + span]
+        return np.ascontiguousarray(reversed_[:, first : first + column.shape[1] - 1])
 
-    products = np.empty((len(steps), BEFORE + AFTER + 1, LAGS))
-    products[..., 0] = column[:, LAGS - 1 :]
+    entering, leaving = at(begin - 1), at(end - 1)
+    products = np.empty((LAGS, len(steps), BEFORE + AFTER + 1))
+    products[0] = column[:, LAGS - 1 :]
     for lag in range(1, LAGS):
         # G[m + 1, l + 1] = G[m, l] + d[begin − 1 − m] d[begin − 1 − l] − the same at the end
-        entered = at(begin - 1) * steps[:, begin - lag, None]
-        left = at(end - 1) * steps[:, end - lag, None]
-        column = np.concatenate([column[:, :1], column[:, :-1] + entered - left], axis=1)
-        products[..., lag] = column[:, LAGS - 1 :]
-    return products
+        moved = entering * steps[:, begin - lag, None]
+        moved -= leaving * steps[:, end - lag, None]
+        column[:, 1:] = moved + column[:, :-1]
+        products[lag] = column[:, LAGS - 1 :]
+    return np.moveaxis(products, 0, 2)

@@ -141,7 +141,23 @@ class CurrentModel:
         lagged = sliding_window_view(steps[:, begin - LAGS + 1 : -MARGIN], window.samples, axis=1)
         return np.asarray((lagged @ current[..., None])[:, ::-1, 0])
 
-    def weights(self, logarithms: Floats) -> tuple[Floats, Floats]:
+    def weights(self, logarithms: Floats) -> Floats:
+        """Compute the weights of the shared filters for loads.
+
+        Parameters
+        ----------
+        logarithms : (N, 4) array of float
+            Logarithms of the constants of each contactor's load.
+
+        Returns
+        -------
+        (N, R) array of float
+            Weights of `shared`.
+        """
+        response = self._source / (self._stiffness + load_stiffness(logarithms, GRID))
+        return np.asarray(_stacked(response) @ self._weights)
+
+    def weights_and_slopes(self, logarithms: Floats) -> tuple[Floats, Floats]:
         """Compute the weights of the shared filters for loads, and their derivatives.
 
         Parameters
@@ -153,7 +169,7 @@ class CurrentModel:
         -------
         weights : (N, R) array of float
             Weights of `shared`.
-        derivatives : (N, 4, R) array of float
+        slopes : (N, 4, R) array of float
             Derivatives to the logarithms.
         """
         terms = load_terms(logarithms, GRID)

@@ -164,16 +164,16 @@ class LoadEstimator:
         settling = self._touching & (self._windows < FIRST_WINDOWS)
         rounds = FIRST_ITERATIONS if settling.any() else ITERATIONS
         for left in reversed(range(rounds)):
-            residual, slope = whitened.residual(self._model, state)
+            residual, slope = whitened.linearized(self._model, state)
             inconsistency = np.mean(residual**2, axis=1)
             weight = valid * np.where(left < ITERATIONS, 1 / np.maximum(1, inconsistency), 1.0)
             hessian = weight[:, None, None] * (slope.transpose(0, 2, 1) @ slope) + information
-            pull = weight[:, None] * np.einsum("njs,nj->ns", slope, residual)
-            pull += np.einsum("nst,nt->ns", information, expected - state)
-            move = np.linalg.solve(hessian, pull[..., None])[..., 0]
+            pull = weight[:, None, None] * (slope.transpose(0, 2, 1) @ residual[..., None])
+            pull += information @ (expected - state)[..., None]
+            move = np.linalg.solve(hessian, pull)[..., 0]
             state = state + np.clip(move, -LARGEST_STEP, LARGEST_STEP)
             state = self._mean + np.clip(state - self._mean, -self._reach, self._reach)
-        residual, _ = whitened.residual(self._model, state)
+        residual = whitened.residual(self._model, state)
         self._covariance, self._state = np.linalg.inv(hessian), state
         inconsistency = np.where(valid, np.mean(residual**2, axis=1), np.inf)
         counted = (self._windows >= SETTLING_WINDOWS) & (inconsistency <= CONSISTENT)
@@ -265,17 +265,23 @@ class _Whitened:
         through = turned @ products.transpose(0, 2, 1)
         return cls(
             measured / deviation,
-            np.einsum("njt,nt->nj", through, model.electrical),
-            np.einsum("njl,nl->nj", turned, model.air_sums(window)),
+            (through @ model.electrical[..., None])[..., 0],
+            (turned @ model.air_sums(window)[..., None])[..., 0],
             through @ model.shared.T,
         )
 
-    def residual(self, model: CurrentModel, state: Floats) -> tuple[Floats, Floats]:
-        """Return the whitened residual (N, J) and the prediction's derivatives (N, J, STATES)."""
-        weights, derivatives = model.weights(state[:, :CONSTANTS])
+    def residual(self, model: CurrentModel, state: Floats) -> Floats:
+        """Return the whitened residual (N, J)."""
         electrical = self.electrical * np.exp(state[:, CONSTANTS, None])
-        predicted = electrical + np.einsum("njr,nr->nj", self.shared, weights)
+        weights = model.weights(state[:, :CONSTANTS])
+        return np.asarray(self.measured - electrical - (self.shared @ weights[..., None])[..., 0])
+
+    def linearized(self, model: CurrentModel, state: Floats) -> tuple[Floats, Floats]:
+        """Return the whitened residual (N, J) and the prediction's derivatives (N, J, STATES)."""
+        weights, slopes = model.weights_and_slopes(state[:, :CONSTANTS])
+        electrical = self.electrical * np.exp(state[:, CONSTANTS, None])
+        predicted = electrical + (self.shared @ weights[..., None])[..., 0]
         slope = np.concatenate(
-            [self.shared @ derivatives.transpose(0, 2, 1), electrical[..., None]], axis=2
+            [self.shared @ slopes.transpose(0, 2, 1), electrical[..., None]], axis=2
         )
         return self.measured - predicted, slope

@@ -8,6 +8,7 @@ independent plant are those of ``python -m benchmarks sensing``.
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,10 @@ from cli_rig import Command
 from display_files import contactors, load
 
 from tactile.actuator.tolerances import Tolerances
+from tactile.bringup import calibrating
 from tactile.bringup.calibrating import CalibrationReport, calibrate
+from tactile.bus.base import Bus
+from tactile.devices import open_bus
 from tactile.errors import InputError
 from tactile.playback.runs import Summary, run
 from tactile.rendering.contact import Trajectory
@@ -113,6 +117,21 @@ def test_the_command_writes_a_file_and_a_picture(folder: Path, command: Command)
     assert [one["contactor"] for one in facts["contactors"]] == [0, 1, 2, 3]
     assert Path("my.npz").exists()
     assert Path("my.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_bus_is_opened_with_20_v(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit is that of the wiring, which the amplifier enforces too."""
+    opened: list[Bus] = []
+
+    def open_and_keep(*arguments: Any, **named: Any) -> Bus:
+        opened.append(open_bus(*arguments, **named))
+        return opened[-1]
+
+    monkeypatch.setattr(calibrating, "open_bus", open_and_keep)
+    with pytest.raises(InputError):
+        calibrate("mock:", display_file(folder))
+    assert opened[0].wiring.voltage == 20.0
+    assert opened[0].state == "closed"
 
 
 def test_what_measures_no_currents_cannot_be_calibrated(folder: Path) -> None:

@@ -1,7 +1,8 @@
 """Calibration of a display in air: each bender's current while a few tones play at a time.
 
-Nothing may touch the display meanwhile. The drive is at most 20 V at the electrodes. A calibration
-is written only if no contactor has a fault.
+Nothing may touch the display meanwhile. Drive and electrodes never exceed 20 V: the bus is opened
+with that limit, so that host, bus and amplifier each enforce it on their own. A calibration is
+written only if no contactor has a fault.
 """
 
 import datetime
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tactile.arrays import Floats
+from tactile.bringup.probe import cautious
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.registry import with_default_option
 from tactile.devices import open_bus
@@ -25,7 +27,12 @@ from tactile.sensing.admittance import AirWindows, measure_admittances
 from tactile.sensing.baseline import fit_baseline
 from tactile.sensing.baseline_file import Calibration, save_calibration
 from tactile.sensing.bender import bender_of
-from tactile.sensing.calibration import CalibrationPlan, MeasuringLimits, plan_calibration
+from tactile.sensing.calibration import (
+    LARGEST,
+    CalibrationPlan,
+    MeasuringLimits,
+    plan_calibration,
+)
 
 BLOCK = 64
 """Number of samples of a block."""
@@ -158,7 +165,7 @@ def calibrate(
     TactileError
         If the device measures no currents, or device or file cannot be used.
     """
-    display = load_display(source)
+    display = cautious(load_display(source), LARGEST)
     if write is not None and write.exists() and not force:
         raise InputError(f"{write}: exists; overwrite it with --force")
     asked = with_default_option(url, "correlation_ms", str(WINDOW_MS))

@@ -61,20 +61,22 @@ Verdict = Literal[
 """Result of the test of a line."""
 
 
-def cautious(display: Display) -> Display:
-    """Return a display limited to the test voltage, at the drive as well as at the electrodes.
+def cautious(display: Display, most: float = TEST_VOLTAGE) -> Display:
+    """Return a display limited to a low voltage, at the drive as well as at the electrodes.
 
     Parameters
     ----------
     display : Display
         Display with the limits of its file.
+    most : float
+        Largest voltage [V].
 
     Returns
     -------
     Display
-        The same display with a voltage limit of at most `TEST_VOLTAGE`.
+        The same display with a voltage limit of at most ``most``.
     """
-    limit = TEST_VOLTAGE / max(display.amplifier.peak, 1.0)
+    limit = most / max(display.amplifier.peak, 1.0)
     voltage = min(display.limits.voltage, limit)
     return replace(display, limits=replace(display.limits, voltage=voltage))
 

@@ -17,7 +17,7 @@ from tactile.bus.correlations import CorrelationWindow
 from tactile.display.display import Display
 from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
 
-KEPT = 2.0
+KEPT = 0.5
 """Time for which the drive is kept; a window that comes later is dropped [s]."""
 HISTORY = EARLIER + AFTER + 1
 """Number of samples of drive before a window that are needed."""

@@ -27,9 +27,9 @@ from tactile.arrays import Floats
 from tactile.sensing.baseline import Baseline
 from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow, step_products
 from tactile.sensing.current_model import CurrentModel
-from tactile.sensing.estimator import FARTHEST, LoadEstimator
+from tactile.sensing.estimator import CAPACITANCE_SPREAD, FARTHEST, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
-from tactile.sensing.population import Population, load_stiffness
+from tactile.sensing.population import CONSTANTS, Population, load_stiffness
 from tactile.sensing.uncertainty import FREQUENCY, shear_deviation
 
 NOISE = 1e-6
@@ -247,3 +247,41 @@ def test_equalizer_follows_a_steady_finger() -> None:
     assert np.percentile(np.abs(first.error), 95) < 3
     settled = np.array([moment.error for moment in moments if moment.time >= 0.5])
     assert np.median(by_finger(settled, case.fingers)[1]) < 1.0
+
+
+def in_air(model: CurrentModel, window: int, factor: float = 1.0) -> SumWindow:
+    """Return the window of contactors in air, with another capacitance."""
+    steps, valid = pilot_steps(window), np.ones(COUNT, np.bool_)
+    first = window * WINDOW - AFTER - 1 - EARLIER
+    earlier = np.diff(pilot(first, EARLIER + 1, RATE, pilot_phases(COUNT)), axis=0).T
+    empty = SumWindow(np.zeros((COUNT, LAGS)), steps, np.zeros(COUNT), valid, earlier)
+    exact = np.einsum("nml,nm->nl", step_products(steps, WINDOW), factor * model.electrical)
+    return replace(empty, sums=exact + model.air_sums(empty))
+
+
+def test_in_air_the_capacitance_is_followed_within_its_reach(model: CurrentModel) -> None:
+    """Let it drift by 1 %, and then read sums that no capacitance explains."""
+    estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
+    for window in range(8):
+        estimate = estimator.update(in_air(model, 10 + window, 1.01))
+    assert not estimate.touching.any()
+    np.testing.assert_allclose(estimator._state[:, CONSTANTS], np.log(1.01), atol=5e-4)
+    np.testing.assert_allclose(estimate.logarithms, np.tile(Population.assumed().mean, (COUNT, 1)))
+    for window in range(20):
+        estimator.update(in_air(model, 20 + window, 2.0))
+    assert np.all(np.abs(estimator._state[:, CONSTANTS]) <= FARTHEST * CAPACITANCE_SPREAD + 1e-9)
+
+
+def test_without_windows_loads_do_not_go_on_changing(model: CurrentModel, loads: Floats) -> None:
+    """Let loads rise, and then read windows that are not valid: the rate is forgotten."""
+    estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
+    for window in range(16):
+        estimator.update(window_of(model, loads + 0.03 * window, window))
+    rate = np.mean(estimator.ahead(1) - estimator.ahead(0))
+    assert rate == pytest.approx(0.03, rel=0.3)
+    for window in range(20):
+        blind = replace(window_of(model, loads, 16 + window), valid=np.zeros(COUNT, np.bool_))
+        estimator.update(blind)
+    assert np.mean(estimator.ahead(1) - estimator.ahead(0)) < 0.01 * rate
+    risen = np.mean(estimator.ahead(0) - (loads + 0.03 * 15))
+    assert risen < 0.2

@@ -184,6 +184,8 @@ class LoadEstimator:
         if counted.any():
             change = float(np.mean((state - before)[counted, :CONSTANTS]))
             self._rate += RATE_GAIN * (change - self._rate)
+        else:
+            self._rate *= 1 - RATE_GAIN  # nobody knows any more how the loads change
         return Estimate(
             self._state[:, :CONSTANTS].copy(),
             self._covariance[:, :CONSTANTS, :CONSTANTS].copy(),
@@ -215,7 +217,9 @@ class LoadEstimator:
         self._touching = np.where(sure, better > 0, self._touching)
         air = ~self._touching & valid
         self.restart(~self._touching)
-        self._state[air, CONSTANTS] = before[air, CONSTANTS] + drift[air]
+        farthest = self._reach[CONSTANTS]
+        drifted = np.clip(before[:, CONSTANTS] + drift, -farthest, farthest)
+        self._state[air, CONSTANTS] = drifted[air]
         self._covariance[air, CONSTANTS, CONSTANTS] = 1 / information[air]
         return np.where(air, squares / residual.shape[1], np.nan)
 

@@ -139,12 +139,21 @@ def test_what_measures_no_currents_cannot_be_calibrated(folder: Path) -> None:
         calibrate("mock:", display_file(folder))
 
 
-def test_a_file_is_not_overwritten_unless_asked(folder: Path, tmp_path: Path) -> None:
-    """Nothing is opened or played before that is known."""
-    there = tmp_path / "there.npz"
-    there.touch()
-    with pytest.raises(InputError, match="exists; overwrite it with --force"):
-        calibrate("nothing:", display_file(folder), write=there)
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("there.npz", "already exists; --force overwrites it"),
+        ("there.txt", "ends in .npz"),
+        ("nowhere/there.npz", "no folder"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_played(
+    folder: Path, tmp_path: Path, name: str, why: str
+) -> None:
+    """Name a device that does not exist: it is never opened."""
+    (tmp_path / "there.npz").touch()
+    with pytest.raises(InputError, match=why):
+        calibrate("nothing:", display_file(folder), write=tmp_path / name)
 
 
 # Following

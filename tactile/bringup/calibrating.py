@@ -25,7 +25,11 @@ from tactile.playback.finger_following import WINDOW_MS
 from tactile.playback.sum_windows import PlayedWindow, SumWindows
 from tactile.sensing.admittance import AirWindows, measure_admittances
 from tactile.sensing.baseline import fit_baseline
-from tactile.sensing.baseline_file import Calibration, save_calibration
+from tactile.sensing.baseline_file import (
+    Calibration,
+    check_calibration_file,
+    save_calibration,
+)
 from tactile.sensing.bender import bender_of
 from tactile.sensing.calibration import (
     LARGEST,
@@ -166,8 +170,8 @@ def calibrate(
         If the device measures no currents, or device or file cannot be used.
     """
     display = cautious(load_display(source), LARGEST)
-    if write is not None and write.exists() and not force:
-        raise InputError(f"{write}: exists; overwrite it with --force")
+    if write is not None:
+        check_calibration_file(write, force=force)  # before anything is measured
     asked = with_default_option(url, "correlation_ms", str(WINDOW_MS))
     with (
         open_bus(asked, display, accept_unsafe_hold=accept_unsafe_hold) as bus,

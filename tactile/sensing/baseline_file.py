@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tactile.arrays import Complex, Floats
 from tactile.errors import InputError, NotFoundError
-from tactile.files import write_whole
+from tactile.files import check_target, write_whole
 from tactile.sensing.admittance import Admittances
 from tactile.sensing.baseline import ORDER, Baseline
 from tactile.sensing.bender import Bender, Deviations
@@ -137,6 +137,26 @@ def _same(ours: Complex, theirs: Complex) -> bool:
     return bool(np.abs(ours - theirs).max() <= AGREEMENT * np.abs(theirs).max())
 
 
+def check_calibration_file(path: Path, *, force: bool = False) -> None:
+    """Check that a calibration can be written to a file.
+
+    Parameters
+    ----------
+    path : Path
+        File to be written.
+    force : bool
+        Whether an existing file may be overwritten.
+
+    Raises
+    ------
+    InputError
+        If the file does not end in ``.npz``, its folder does not exist, or it exists already.
+    """
+    if path.suffix != ".npz":
+        raise InputError(f"{path}: a calibration is a file that ends in .npz")
+    check_target(path, force=force)
+
+
 def save_calibration(path: Path, calibration: Calibration, *, force: bool = False) -> None:
     """Write a calibration, completely or not at all.
 
@@ -152,10 +172,9 @@ def save_calibration(path: Path, calibration: Calibration, *, force: bool = Fals
     Raises
     ------
     InputError
-        If the file has another ending, its folder does not exist, or it exists already.
+        As `check_calibration_file`.
     """
-    if path.suffix != ".npz":
-        raise InputError(f"{path}: a calibration is a file that ends in .npz")
+    check_calibration_file(path, force=force)
     content = BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         for name, column in _columns(calibration).items():

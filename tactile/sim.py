@@ -30,6 +30,7 @@ from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, Wiring
 from tactile.bus.options import FORMATS, Keep, Options, SampleFormatName
 from tactile.bus.registry import Address, register_bus
+from tactile.bus.simulated.current_sensor import SensorDesign
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.display.display import Display
 from tactile.errors import InputError
@@ -181,7 +182,7 @@ class SimulatedDisplay(MockBus):
         super().__init__(
             Wiring.of(display, sample_rate), keep=keep, sample_format=sample_format,
             currents=self._measured if correlation_ms else None,
-            current_delay=self._plant.delay, correlation_ms=correlation_ms,
+            sensor=SensorDesign(delay=self._plant.delay), correlation_ms=correlation_ms,
         )  # fmt: skip
 
     @property
@@ -421,9 +422,8 @@ class Fidelity:
     """
 
     def __init__(self, sample_rate: float) -> None:
-        from scipy.signal import butter, sosfilt, sosfilt_zi  # 0.3 s, needed for judging only
+        from scipy.signal import butter  # takes 0.3 s, which other programs are spared
 
-        self._sosfilt, self._at_rest = sosfilt, sosfilt_zi
         self._filter = butter(4, JUDGED_BAND, "bandpass", fs=sample_rate, output="sos")
         self._state: Floats | None = None
         self._energy = np.zeros(2)
@@ -440,11 +440,13 @@ class Fidelity:
         """
         if not len(commanded):
             return
+        from scipy.signal import sosfilt, sosfilt_zi
+
         both = np.stack([commanded, played - commanded], axis=1)
         if self._state is None:
-            rest = self._at_rest(self._filter)
+            rest = sosfilt_zi(self._filter)
             self._state = np.zeros((*rest.shape, *both.shape[1:]))
-        filtered, self._state = self._sosfilt(self._filter, both, axis=0, zi=self._state)
+        filtered, self._state = sosfilt(self._filter, both, axis=0, zi=self._state)
         self._energy += np.sum(filtered**2, axis=(0, 2))
 
     @property

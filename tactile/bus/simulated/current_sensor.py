@@ -41,6 +41,8 @@ class SensorDesign:
         Noise of the ADC, rms [steps of the ADC].
     skew : float
         Time by which the current is sampled after the drive, of a small part of a sample [s].
+    delay : int
+        Number of samples by which the load's currents are late, which the board takes off.
     seed : int
         Seed of the noise.
     """
@@ -49,6 +51,7 @@ class SensorDesign:
     bits: int = 12
     noise: float = 1.0
     skew: float = 0.0
+    delay: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -46,8 +46,6 @@ class MockBus(Bus):
         is called with all that is put out, in every state.
     sensor : SensorDesign
         How the amplifier measures them.
-    current_delay : int
-        Number of samples by which the load's currents are late, which the amplifier takes off.
     correlation_ms : int
         Length of the windows of correlated currents [ms]; 0 for none.
 
@@ -75,7 +73,6 @@ class MockBus(Bus):
         clock: Clock = MONOTONIC,
         currents: CurrentModel | None = None,
         sensor: SensorDesign = SensorDesign(),  # noqa: B008
-        current_delay: int = 0,
         correlation_ms: int = 0,
     ) -> None:
         super().__init__(wiring, clock)
@@ -92,12 +89,9 @@ class MockBus(Bus):
         if currents is not None and len(widths) > 1:
             raise InputError(f"{wiring.channels} channels: currents of {MOST_CHANNELS} at most")
         self.boards = [
-            self._board(
-                replace(config_of(wiring, width, node), current_delay=current_delay),
-                sample_format, currents, sensor,
-            )
+            self._board(config_of(wiring, width, node), sample_format, currents, sensor)
             for node, width in enumerate(widths, 1)
-        ]  # fmt: skip
+        ]
         self._correlates = currents is not None and correlation_ms > 0
         if self._correlates:
             self.boards[0].ask_for_windows(correlation_ms)
@@ -114,7 +108,7 @@ class MockBus(Bus):
             return Board(config, sample_format)
         full_scale = config.full_scale_uv * 1e-6
         sensor = CurrentSensor(currents, design, channels=config.channels, full_scale=full_scale)
-        measuring = replace(config, sense_ranges_ua=design.ranges_ua)
+        measuring = replace(config, sense_ranges_ua=design.ranges_ua, current_delay=design.delay)
         return Board(measuring, sample_format, sensor, self._windows)
 
     @property

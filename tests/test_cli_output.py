@@ -26,6 +26,7 @@ PRINTING = {
 ALL_TEXTURES = pytest.param("textures", marks=pytest.mark.ci)
 """The list of all textures, which takes some seconds to make."""
 OTHERS = [name for name in PRINTING if name != "textures"]
+"""Commands whose output takes less time."""
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])

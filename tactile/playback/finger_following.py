@@ -1,6 +1,6 @@
 """Playback that follows the finger: what the bus measures becomes filters of the renderer."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +66,6 @@ class FollowingFigures:
     touched: int = 0
 
 
-@dataclass
 class FingerFollowing:
     """Estimator and filters of a stroke, fed by what the bus measures.
 
@@ -82,7 +81,8 @@ class FingerFollowing:
     Raises
     ------
     InputError
-        If the bus does not measure currents, or the baseline does not fit.
+        If the bus does not measure currents, or the calibration is of another display or has
+        faults.
 
     Attributes
     ----------
@@ -92,21 +92,13 @@ class FingerFollowing:
         Latest loads; None before the first.
     """
 
-    display: Display
-    bus: Bus
-    calibration: Calibration
-    loads: FollowedLoads | None = None
-    _figures: FollowingFigures = field(default_factory=FollowingFigures)
-    _deviations: tuple[int, float] = 0, 0.0
-
-    def __post_init__(self) -> None:
-        if not self.bus.correlates:
+    def __init__(self, display: Display, bus: Bus, calibration: Calibration) -> None:
+        if not bus.correlates:
             raise InputError(
                 "finger follow: the device measures no currents; play with the fixed finger of the "
                 "display, or use an amplifier with the feature CORRELATES"
             )
-        display, rate = self.display, self.bus.wiring.sample_rate
-        calibration = self.calibration
+        rate = bus.wiring.sample_rate
         bender = bender_of(display.bimorph, display.amplifier, rate)
         calibration.check_display(bender, len(display.contactors), rate)
         faults = [f"contactor {k}: {f}" for k, f in enumerate(calibration.baseline.faults) if f]
@@ -118,7 +110,11 @@ class FingerFollowing:
             sample_rate=rate,
             noise=float(np.median(calibration.measured.noise)),
         )
-        self._windows = SumWindows(self.display, self.bus)
+        self.loads: FollowedLoads | None = None
+        self._windows = SumWindows(display, bus)
+        self._figures = FollowingFigures()
+        self._deviations = 0, 0.0
+        """Number of windows with a finger, and the sum of their median deviations [dB]."""
 
     def wrote(self, position: int, drive: Floats) -> None:
         """Note drive that was written, and follow what has been measured by now.

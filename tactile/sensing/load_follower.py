@@ -122,7 +122,8 @@ class LoadFollower:
         failed = judged & (estimate.inconsistency > CONSISTENT)
         self._unexplained = np.where(judged & ~failed, 0, self._unexplained + failed)
         explained = self._unexplained < PATIENCE
-        ahead = self._estimator.ahead(1.5 + lateness / window.samples)
+        # from the middle of the window to its end, until the fade begins, and until it has ended
+        ahead = self._estimator.ahead(0.5 + lateness / window.samples + 1)
         used = np.where(explained[:, None], ahead, self._mean)
         self._equalizer.replace(self._taps(used, estimate.touching), window.samples)
         deviation = shear_deviation(self._baseline, estimate.logarithms, estimate.covariance)

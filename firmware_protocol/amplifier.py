@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from firmware_protocol import guard, samples, spectrum
 from firmware_protocol import messages as m
-from firmware_protocol import samples, spectrum
 from firmware_protocol.config import LimitsInForce
 from firmware_protocol.machine import NO_CARRIERS, Machine
 from firmware_protocol.messages import (
@@ -37,8 +37,8 @@ from firmware_protocol.sources import PcmSource, Source, SpectrumSource
 
 SESSION_FREE = (m.Hello, m.Time, m.Sync, m.Estop, m.Get, m.Identify, m.Poll)
 """Messages that are valid without a session."""
-STREAMED = (m.Pcm, m.Spectrum)
-"""Messages that carry streamed drive."""
+STREAMED = (m.Pcm, m.Spectrum, m.Guard)
+"""Messages that are ignored unless the amplifier runs."""
 SETTLED_STATES = (State.IDLE, State.SAFE)
 """States in which the node address may be changed."""
 
@@ -113,7 +113,7 @@ class ReferenceAmplifier(Machine):
             if packet.flags & Flag.INCOMPATIBLE:
                 return Refusal(NakCode.UNSUPPORTED, packet.flags, "unsupported")
         kind = m.MESSAGES.get(packet.type)
-        if kind is None or kind not in HANDLERS:
+        if kind is None or kind not in HANDLERS or (kind is m.Guard and not self._correlates):
             return Refusal(NakCode.UNKNOWN_TYPE, 0, "unknown_type")
         message = kind.unpack(packet.payload)
         if message is None:
@@ -179,7 +179,7 @@ class ReferenceAmplifier(Machine):
     def _features(self) -> int:
         """Bits of `Feature` that the amplifier has."""
         senses = Feature.SENSES if self._sensor is not None else 0
-        correlates = Feature.CORRELATES if self._correlates else 0
+        correlates = Feature.CORRELATES | Feature.GUARDS if self._correlates else 0
         return senses | correlates | (Feature.ESTOP_INPUT if self.config.estop_input else 0)
 
     def _time(self, time: m.Time) -> Reply:
@@ -221,6 +221,7 @@ class ReferenceAmplifier(Machine):
         self._start_tick, self._start_position = tick, start.position
         self._player.start(self._source(), start.position)
         self._correlator.start()
+        self._player.guard.start(self.rate)
         return None
 
     def _stop(self, stop: m.Stop) -> Reply:
@@ -375,6 +376,18 @@ class ReferenceAmplifier(Machine):
         self._increments = np.frombuffer(carriers.increments, "<u4").astype(np.uint32)
         return None
 
+    def _guard(self, message: m.Guard) -> Reply:
+        """Handle GUARD."""
+        if refusal := self._channels_wrong(message.first_channel, message.channels):
+            return refusal
+        entries = guard.decode(message)
+        if entries is None:
+            return Refusal(NakCode.LENGTH, m.Guard.HEAD.size + len(message.entries), "malformed")
+        if max(entries["drive_shift"].max(), entries["change_shift"].max()) > guard.SHIFT_MOST:
+            return Refusal(NakCode.RANGE, 1)
+        self._player.guard.take(message.first_channel, entries)
+        return None
+
     def _spectrum(self, frame: m.Spectrum) -> Reply:
         """Handle SPECTRUM."""
         source, count = self._player.source, len(self._increments)
@@ -426,5 +439,6 @@ HANDLERS: dict[type[Message], tuple[str, Handler]] = {
     m.Pcm: ("", ReferenceAmplifier._pcm),
     m.Carriers: ("carriers", ReferenceAmplifier._carriers),
     m.Spectrum: ("", ReferenceAmplifier._spectrum),
+    m.Guard: ("", ReferenceAmplifier._guard),
 }
 """Event in the state table and handler of each message; "" for a message that is no event."""

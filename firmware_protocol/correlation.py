@@ -171,7 +171,7 @@ def energy_codes(energy: Ints) -> Ints:
     return codes
 
 
-def encode(sums: Ints, energy: Ints, clipped: NDArray[np.bool_]) -> bytes:
+def encode(sums: Ints, energy: Ints, flags: Ints) -> bytes:
     """Encode the entries of channels.
 
     Parameters
@@ -180,8 +180,8 @@ def encode(sums: Ints, energy: Ints, clipped: NDArray[np.bool_]) -> bytes:
         Correlations.
     energy : (C,) array of int
         Sums of squares.
-    clipped : (C,) array of bool
-        Whether the ADC was at an end of its range.
+    flags : (C,) array of int
+        Bits of `Window`.
 
     Returns
     -------
@@ -190,7 +190,7 @@ def encode(sums: Ints, energy: Ints, clipped: NDArray[np.bool_]) -> bytes:
     """
     entries = np.zeros(len(sums), ENTRY)
     shift = exponents(sums)
-    entries["flags"] = np.where(clipped, m.Window.CLIPPED, 0)
+    entries["flags"] = flags
     entries["exponent"] = shift
     entries["energy"] = energy_codes(energy)
     entries["sums"] = rounded(sums, shift[:, None])
@@ -215,6 +215,21 @@ class CompleteWindow(NamedTuple):
     entries: bytes
 
 
+class Known(NamedTuple):
+    """Currents that are known after a run of instants, with the drive that caused them.
+
+    Attributes
+    ----------
+    currents : (S, C) array of int
+        Current codes, −32767 … 32767.
+    steps : (S + L − 1, C) array of int
+        Steps of the sample codes, from L − 1 instants before the first current on.
+    """
+
+    currents: Ints
+    steps: Ints
+
+
 class Correlator:
     """Sums of the window under way.
 
@@ -224,6 +239,11 @@ class Correlator:
         Number of channels C.
     delay : int
         Number of instants by which currents are late, `AmplifierConfig.current_delay`.
+
+    Attributes
+    ----------
+    known : Known
+        Currents that were known after the last run.
     """
 
     def __init__(self, channels: int, delay: int = 0) -> None:
@@ -236,13 +256,22 @@ class Correlator:
         self._past: Ints = np.zeros((LAGS + self._delay, self._channels), np.int64)
         self._skipped = self._delay
         """Number of instants to come whose currents are of instants before START."""
+        self.known = Known(self._past[:0], self._past[: LAGS - 1])
         self.stop()
 
     def stop(self) -> None:
         """End the window under way, which is not sent."""
         self._left = 0
 
-    def add(self, position: int, codes: Ints, currents: Ints, length: int) -> list[CompleteWindow]:
+    def add(
+        self,
+        position: int,
+        codes: Ints,
+        currents: Ints,
+        length: int,
+        *,
+        guarded: NDArray[np.bool_] | None = None,
+    ) -> list[CompleteWindow]:
         """Add a run of instants; a window begins where none is under way.
 
         Parameters
@@ -256,6 +285,8 @@ class Correlator:
             reads as −32767.
         length : int
             Length of a window that begins in the run [samples]; 0 for none.
+        guarded : (S, C) array of bool, optional
+            Whether a guard held a channel down at each instant; by default none did.
 
         Returns
         -------
@@ -266,18 +297,19 @@ class Correlator:
         self._past = played[len(codes) :]
         at = min(self._skipped, len(codes))
         self._skipped -= at
-        if not self._left and not length:
-            return []
         steps, currents = np.diff(played, axis=0), np.maximum(currents, -FULL_SCALE_CODE)
+        self.known = Known(currents[at:], steps[at : len(codes) + LAGS - 1])
         position, complete = position - self._delay, []
         while at < len(codes) and (self._left or length):
             if not self._left:
                 self._begin(position + at, length)
             count = min(self._left, len(codes) - at)
             self._accumulate(steps[at : at + count + LAGS - 1], currents[at : at + count])
+            if guarded is not None:
+                self._flags |= np.where(guarded[at : at + count].any(axis=0), m.Window.GUARDED, 0)
             at, self._left = at + count, self._left - count
             if not self._left:
-                entries = encode(self._sums, self._energy, self._clipped)
+                entries = encode(self._sums, self._energy, self._flags)
                 complete.append(CompleteWindow(self._position, self._samples, entries))
         return complete
 
@@ -286,7 +318,7 @@ class Correlator:
         self._position, self._left, self._samples = position, length, length
         self._sums: Ints = np.zeros((self._channels, LAGS), np.int64)
         self._energy: Ints = np.zeros(self._channels, np.int64)
-        self._clipped = np.zeros(self._channels, np.bool_)
+        self._flags: Ints = np.zeros(self._channels, np.int64)
 
     def _accumulate(self, steps: Ints, currents: Ints) -> None:
         """Add instants to the sums; the steps of the drive begin `LAGS` − 1 instants earlier."""
@@ -295,7 +327,8 @@ class Correlator:
             first = LAGS - 1 - lag
             self._sums[:, lag] += (currents * steps[first : first + count]).sum(axis=0)
         self._energy += (currents**2).sum(axis=0)
-        self._clipped |= (np.abs(currents) == FULL_SCALE_CODE).any(axis=0)
+        clipped = (np.abs(currents) == FULL_SCALE_CODE).any(axis=0)
+        self._flags |= np.where(clipped, m.Window.CLIPPED, 0)
 
 
 def messages_of(

@@ -324,6 +324,8 @@ class Machine:
         """Put out up to ``count`` instants."""
         position, pending = self.position, self._start_tick is not None
         player, first = self._player, self._player.position
+        if player.guard.most is not None:
+            count = min(count, player.guard.most)
         codes = player.advance(count, pending=pending)
         self._last_position = first + (0 if pending else len(codes) - 1)
         ticks = (
@@ -351,9 +353,14 @@ class Machine:
             return
         length = window_samples(self._settings[Parameter.CORRELATION_MS], self.rate)
         range_ua = self._settings[Parameter.SENSE_RANGE_UA]
-        for window in self._correlator.add(position, codes, currents, length):
+        guard, held = self._player.guard, self._player.held
+        windows = self._correlator.add(position, codes, currents, length, guarded=held)
+        for window in windows:
             for message in messages_of(window, range_ua, self.config.packet_limit):
                 self._send(message)
+        if guard.add(self._correlator.known):
+            reasons = guard.reasons.astype(np.uint8).tobytes()
+            self._send(m.Guarded(self._player.position % TURN, reasons))
 
     def _count_played(self) -> None:
         """Update the counters from those of the player."""

@@ -9,8 +9,8 @@ from struct import Struct
 
 from firmware_protocol.layout import Message as Message
 
-MAJOR, MINOR = 1, 2
-SCHEMA_CRC = 0x8DD9777D
+MAJOR, MINOR = 1, 3
+SCHEMA_CRC = 0xD1881435
 STAYS, REFUSED = 0x40, 0x80
 WATCHDOG_MS = 150
 """Time without a heartbeat after which the watchdog expires [ms]."""
@@ -42,6 +42,14 @@ CORRELATED_MOST = 12
 """Largest number of channels of a CORRELATION."""
 EXPONENT_MOST = 32
 """Largest exponent of an entry of CORRELATION."""
+GUARD_TAPS = 13
+"""Number of coefficients of a filter of GUARD."""
+GUARD_BLOCK = 8
+"""Number of instants from one decision of the guard to the next."""
+GUARD_BLOCKS = 5
+"""Number of blocks over which the guard looks for a lost contact."""
+GUARD_LEAST = 1024
+"""Gain of a channel after its guard has tripped, in 1/32768."""
 
 
 class Flag(IntEnum):
@@ -153,6 +161,7 @@ class Feature(IntEnum):
     ZERO_ORDER_HOLD = 2
     ESTOP_INPUT = 4
     CORRELATES = 8
+    GUARDS = 16
 
 
 class EstopReason(IntEnum):
@@ -171,6 +180,22 @@ class Window(IntEnum):
     """Bits of the flags of an entry of CORRELATION (section 16.3)."""
 
     CLIPPED = 1
+    GUARDED = 2
+
+
+class GuardFlag(IntEnum):
+    """Bits of the flags of an entry of GUARD (section 17.2)."""
+
+    ARMED = 1
+    RELEASE = 2
+
+
+class GuardReason(IntEnum):
+    """Reasons in GUARDED (section 17.4)."""
+
+    NONE = 0
+    RESIDUAL = 1
+    LOST = 2
 
 
 class CanClass(IntEnum):
@@ -436,6 +461,21 @@ class Spectrum(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Guard(Message):
+    """GUARD from the host: what the guards of some channels expect (section 4)."""
+
+    TYPE = 0x13
+    CAN = CanClass.REQUEST
+    HEAD = Struct("<HBB")
+    BODY = True
+
+    session: int = 0
+    first_channel: int = 0
+    channels: int = 0
+    entries: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
 class Ack(Message):
     """ACK from the amplifier: a request was done (section 4)."""
 
@@ -621,6 +661,19 @@ class Correlation(Message):
     entries: bytes = b""
 
 
+@dataclass(frozen=True, slots=True)
+class Guarded(Message):
+    """GUARDED from the amplifier: guards that have tripped (section 4)."""
+
+    TYPE = 0x4A
+    CAN = CanClass.RESPONSE
+    HEAD = Struct("<I")
+    BODY = True
+
+    position: int = 0
+    reasons: bytes = b""
+
+
 MESSAGES: dict[int, type[Message]] = {
     0x01: Hello,
     0x02: Time,
@@ -640,6 +693,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x10: Pcm,
     0x11: Carriers,
     0x12: Spectrum,
+    0x13: Guard,
     0x40: Ack,
     0x41: Nak,
     0x42: Caps,
@@ -650,5 +704,6 @@ MESSAGES: dict[int, type[Message]] = {
     0x47: Sense,
     0x48: Log,
     0x49: Correlation,
+    0x4A: Guarded,
 }
 """Classes of the messages by their type."""

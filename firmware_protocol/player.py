@@ -7,6 +7,7 @@ reached 0) ends the run and begins the next one.
 
 import numpy as np
 
+from firmware_protocol.guard import FULL, ChannelGuards
 from firmware_protocol.messages import Phase
 from firmware_protocol.packet import TURN
 from firmware_protocol.sources import Ints, Source
@@ -44,10 +45,14 @@ class SamplePlayer:
     ----------
     source : Source
         The parameter of the same name.
+    guard : ChannelGuards
+        Guards of the channels.
     position : int
         Position that is put out next.
     output : (C,) array of int
         Sample codes that were put out last.
+    held : (S, C) array of bool
+        Whether a guard held each channel down, at the instants of the last run.
     limit : int
         Largest sample code.
     step : int
@@ -63,7 +68,7 @@ class SamplePlayer:
     """
 
     def __init__(self, source: Source) -> None:
-        self.source = source
+        self.source, self.guard = source, ChannelGuards(source.channels)
         self.position = self._first = 0
         self.output = np.zeros(source.channels, np.int64)
         self.limit, self.step, self.fade = 0, 0, 1
@@ -72,6 +77,7 @@ class SamplePlayer:
         self._quick = self._holds = False
         self._gain = 0
         self._exceeded = NOT_OVER
+        self.held = np.zeros((0, source.channels), np.bool_)
         self.lost_samples = self.underruns = self.limited_samples = 0
 
     def start(self, source: Source, position: int) -> None:
@@ -135,10 +141,12 @@ class SamplePlayer:
             Sample codes that were put out.
         """
         if pending:
+            self.held = np.zeros((count, self.source.channels), np.bool_)
             return self._last_stage(np.zeros((count, self.source.channels), np.int64))
         parts, done = [], 0
+        self.held = self.held[:0]
         while done < count:
-            part = self._last_stage(self._requested(count - done))
+            part = self._last_stage(self._guarded(self._requested(count - done)))
             parts.append(part)
             done += len(part)
             if self.ramping and not self._gain and self.silent:
@@ -230,6 +238,15 @@ class SamplePlayer:
         if gains[0] == gains[-1] == self.fade:
             return within
         return truncated(within * np.maximum(gains, 0)[:, None], self.fade)
+
+    def _guarded(self, codes: Ints) -> Ints:
+        """Return codes times the gains of the guards."""
+        gains = None
+        if self.phase != Phase.STILL or self.ramping:
+            gains = self.guard.move(len(codes), ramping=self.ramping)
+        held = np.zeros_like(codes, np.bool_) if gains is None else gains < FULL
+        self.held = np.concatenate([self.held, held])
+        return codes if gains is None else truncated(codes * gains, FULL)
 
     def _last_stage(self, targets: Ints) -> Ints:
         """Return the codes to put out, within the limit and with no step larger than allowed."""

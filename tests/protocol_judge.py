@@ -46,6 +46,7 @@ LAYOUTS = {
     0x10: ("PCM", Struct("<IHBBBB"), True),
     0x11: ("CARRIERS", Struct("<HB"), True),
     0x12: ("SPECTRUM", Struct("<IHHBBBB"), True),
+    0x13: ("GUARD", Struct("<HBB"), True),
 }
 """Name, fixed part, and whether a body follows (section 4)."""
 STATUS = Struct("<4BHIQBQ3I")

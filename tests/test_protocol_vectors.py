@@ -33,7 +33,7 @@ from vectors_rig import (
     whole,
 )
 
-from firmware_protocol import correlation, samples, spectrum
+from firmware_protocol import correlation, guard, samples, spectrum
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import CanDecoder, CanEncoder
@@ -281,6 +281,23 @@ def test_correlation(vector: Vector) -> None:
     assert np.abs(entries.sums[0] - vector["sums"]).max() <= half
     assert abs(entries.energy[0] - vector["energy"]) <= 1e-3 * vector["energy"]
     assert entries.flags[0] == window.entries[0]
+
+
+@vectors("guard")
+def test_guard(vector: Vector) -> None:
+    """The entry comes at START, and is in force after the first block."""
+    correlator, guards = correlation.Correlator(1), guard.ChannelGuards(1)
+    guards.take(0, np.frombuffer(bytes.fromhex(vector["entry"]), guard.ENTRY))
+    columns = (np.array(vector[name], np.int64) for name in ("codes", "currents"))
+    codes, currents = (column.reshape(-1, 1) for column in columns)
+    reasons = []
+    for first in range(0, len(codes), m.GUARD_BLOCK):
+        block = slice(first, first + m.GUARD_BLOCK)
+        correlator.add(first, codes[block], currents[block], 0)
+        before = int(guards.reasons[0])
+        assert guards.add(correlator.known) == (before != guards.reasons[0])
+        reasons.append(int(guards.reasons[0]))
+    assert reasons == vector["reasons"]
 
 
 def played(amplifier: ReferenceAmplifier) -> Instants:

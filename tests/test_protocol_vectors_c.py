@@ -275,6 +275,14 @@ def test_correlation_in_c(vector: Vector, core: Core) -> None:
     assert core("correlate " + " ".join(map(str, numbers))) == vector["entry"]
 
 
+@vectors("guard")
+def test_guard_in_c(vector: Vector, core: Core) -> None:
+    pairs = zip(vector["codes"], vector["currents"], strict=True)
+    numbers = [len(vector["codes"]), *(x for pair in pairs for x in pair)]
+    reasons = core(f"guard {vector['entry']} " + " ".join(map(str, numbers)))
+    assert reasons.split() == [str(reason) for reason in vector["reasons"]]
+
+
 def records(vector: Vector) -> bytes:
     out = bytearray()
     for step in vector["steps"]:

@@ -253,6 +253,44 @@ ta_verdict ta_act_pcm(ta_amplifier *amp, const ta_request *r)
     return ta_done();
 }
 
+#if TA_CORRELATES
+
+ta_verdict ta_act_guard(ta_amplifier *amp, const ta_request *r)
+{
+    tp_guard m = {0};
+    if (amp->state != TP_STATE_RUNNING) {
+        return not_running(amp);
+    }
+    (void)tp_guard_decode(&m, r->packet.payload, r->packet.size);
+    ta_verdict v = check_stream(amp, true, 0, m.first_channel, m.channels);
+    if (v.code != 0) {
+        return v;
+    }
+    if (m.entries_size != TA_GUARD_ENTRY * m.channels) {
+        return ta_malformed(amp, r);
+    }
+    for (size_t i = 0; i < m.channels; i++) {
+        if (!ta_guard_valid(m.entries + TA_GUARD_ENTRY * i)) {
+            return ta_refuse(amp, TP_NAK_RANGE, 1);
+        }
+    }
+    for (size_t i = 0; i < m.channels; i++) {
+        ta_guard_take(&amp->guard, m.first_channel + i, m.entries + TA_GUARD_ENTRY * i);
+    }
+    return ta_done();
+}
+
+#else
+
+ta_verdict ta_act_guard(ta_amplifier *amp, const ta_request *r)
+{
+    (void)amp;
+    (void)r;
+    return ta_done();
+}
+
+#endif
+
 ta_verdict ta_act_carriers(ta_amplifier *amp, const ta_request *r)
 {
     tp_carriers m = {0};

@@ -211,6 +211,7 @@ bool ta_correlates(const ta_amplifier *amp)
 void ta_correlation_start(ta_amplifier *amp)
 {
     ta_correlator_start(&amp->correlator, amp->config.channels, amp->config.current_delay);
+    ta_guard_start(&amp->guard, amp->config.channels, amp->player.rate);
 }
 
 void ta_correlation_stop(ta_amplifier *amp)
@@ -256,26 +257,66 @@ static uint16_t window_samples(const ta_amplifier *amp)
     return (uint16_t)(samples < UINT16_MAX ? samples : UINT16_MAX);
 }
 
+/* Adds the currents that are known now to the window under way, or to one that begins. */
+static void add_to_window(ta_amplifier *amp, uint32_t position, const int16_t *currents)
+{
+    ta_correlator *c = &amp->correlator;
+    if (c->left == 0 && amp->correlation_ms == 0) {
+        return;
+    }
+    ta_correlator_open(c, position, window_samples(amp));
+    for (size_t i = 0; i < amp->config.channels; i++) {
+        if (amp->player.held[i] < TA_GAIN_FULL) {
+            ta_correlator_held(c, i);
+        }
+    }
+    if (ta_correlator_add(c, currents)) {
+        send_correlations(amp);
+    }
+}
+
+/* Tells which channels have tripped, and the first position that is put out with another gain. */
+static void send_guarded(ta_amplifier *amp, uint32_t position)
+{
+    uint8_t packet[TA_OVERHEAD + TP_GUARDED_SIZE + TA_CHANNELS];
+    uint8_t *reasons = packet + TA_HEADER + TP_GUARDED_SIZE;
+    tp_guarded m;
+    m.position = position;
+    m.reasons = NULL;
+    m.reasons_size = 0;
+    size_t size = tp_guarded_encode(&m, packet + TA_HEADER, TP_GUARDED_SIZE);
+    for (size_t i = 0; i < amp->config.channels; i++) {
+        reasons[i] = amp->guard.guards[i].reason;
+    }
+    ta_send(amp, TP_GUARDED, packet, size + amp->config.channels);
+}
+
 /* After the sample at `position` was put out; `come` says that the tick of START has come. */
 static void correlate(ta_amplifier *amp, uint32_t position, bool come)
 {
-    ta_correlator *c = &amp->correlator;
     int16_t currents[TA_CHANNELS];
     if (!ta_correlates(amp)) {
         return;
     }
     if (amp->state != TP_STATE_RUNNING || !come) {
-        ta_correlator_stop(c);
+        ta_correlator_stop(&amp->correlator);
         return;
     }
-    bool known = ta_correlator_played(c, amp->player.codes);
-    if (!known || (c->left == 0 && amp->correlation_ms == 0)) {
+    if (!ta_correlator_played(&amp->correlator, amp->player.codes)) {
         return;
     }
-    ta_correlator_open(c, position, window_samples(amp));
     amp->hal.currents(amp->hal.context, currents);
-    if (ta_correlator_add(c, currents)) {
-        send_correlations(amp);
+    add_to_window(amp, position, currents);
+    if (ta_guard_add(&amp->guard, &amp->correlator, currents)) {
+        send_guarded(amp, position + 1u);
+    }
+}
+
+/* The gains of the guards at this instant. */
+static void move_guards(ta_amplifier *amp)
+{
+    if (amp->state == TP_STATE_RUNNING && !amp->start_pending) {
+        ta_guard_move(&amp->guard, amp->player.held);
     }
 }
 
@@ -302,6 +343,11 @@ static void correlate(ta_amplifier *amp, uint32_t position, bool come)
     (void)amp;
     (void)position;
     (void)come;
+}
+
+static void move_guards(ta_amplifier *amp)
+{
+    (void)amp;
 }
 
 #endif
@@ -510,6 +556,7 @@ static void sense_if_due(ta_amplifier *amp, uint64_t tick)
 static void put_out(ta_amplifier *amp, uint64_t tick)
 {
     ta_player *p = &amp->player;
+    move_guards(amp);
     ta_player_instant(p, amp->state, !amp->start_pending);
     amp->last_position = p->position;
     amp->hal.put_out(amp->hal.context, tick, p->position, p->codes);

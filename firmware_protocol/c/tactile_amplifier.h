@@ -7,7 +7,7 @@
 #ifndef TACTILE_AMPLIFIER_H
 #define TACTILE_AMPLIFIER_H
 
-#include "tactile_correlator.h"
+#include "tactile_guard.h"
 #include "tactile_hal.h"
 #include "tactile_packet.h"
 #include "tactile_player.h"
@@ -93,6 +93,7 @@ typedef struct {
 
 #if TA_CORRELATES
     ta_correlator correlator;
+    ta_guard guard;
 #endif
 } ta_amplifier;
 

@@ -52,6 +52,8 @@
 #define TA_CORRELATION_MAX (TA_CORRELATES * (TP_CORRELATION_SIZE + TA_CORRELATED * TA_ENTRY))
 #define TA_REPLY_MAX (TA_OVERHEAD + (TA_SENSE_MAX > TA_CORRELATION_MAX ? TA_SENSE_MAX : TA_CORRELATION_MAX))
 
+#define TA_GAIN_FULL 32768 /* gain of a channel whose guard has not tripped (17.4) */
+
 /* C99 has no _Static_assert: an array of negative size does not compile. */
 #define TA_ASSERT(name, condition) typedef char ta_assert_##name[(condition) ? 1 : -1]
 
@@ -105,6 +107,12 @@ static inline int32_t ta_clamp(int32_t value, int32_t limit)
 static inline int64_t ta_shift_right(int64_t value, unsigned bits)
 {
     return value >= 0 ? value >> bits : ~(~value >> bits);
+}
+
+/* Returns value / 2^shift, rounded to the nearest integer, halves up. */
+static inline int64_t ta_rounded(int64_t value, unsigned shift)
+{
+    return ta_shift_right(value + (shift > 0 ? (int64_t)1 << (shift - 1u) : 0), shift);
 }
 
 /* Returns whether `ms` or more have passed, at `tick_hz`, from `since` to `now`. */

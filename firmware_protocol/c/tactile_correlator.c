@@ -41,7 +41,7 @@ void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
     for (size_t i = 0; i < c->channels; i++) {
         ta_correlated *s = &c->sums[i];
         s->energy = 0;
-        s->clipped = false;
+        s->flags = 0;
         memset(s->products, 0, sizeof s->products);
     }
 }
@@ -54,8 +54,14 @@ static void add(ta_correlated *s, size_t place, int32_t current)
         place = place > 0 ? place - 1u : TA_CODES - 1u;
     }
     s->energy += (uint64_t)(current * current);
-    s->clipped = s->clipped || current == (int32_t)TP_FULL_SCALE_CODE ||
-                 current == -(int32_t)TP_FULL_SCALE_CODE;
+    if (current == (int32_t)TP_FULL_SCALE_CODE || current == -(int32_t)TP_FULL_SCALE_CODE) {
+        s->flags |= TP_WINDOW_CLIPPED;
+    }
+}
+
+void ta_correlator_held(ta_correlator *c, size_t channel)
+{
+    c->sums[channel].flags |= TP_WINDOW_GUARDED;
 }
 
 bool ta_correlator_add(ta_correlator *c, const int16_t *currents)
@@ -71,12 +77,6 @@ bool ta_correlator_add(ta_correlator *c, const int16_t *currents)
     return c->left == 0;
 }
 
-/* value / 2^shift, rounded to the nearest integer, halves up. */
-static int64_t rounded(int64_t value, unsigned shift)
-{
-    return ta_shift_right(value + (shift > 0 ? (int64_t)1 << (shift - 1u) : 0), shift);
-}
-
 /* The least exponent with which all correlations fit 16 bits. */
 static unsigned exponent_of(const int64_t *sums)
 {
@@ -87,7 +87,7 @@ static unsigned exponent_of(const int64_t *sums)
         high = sums[lag] > high ? sums[lag] : high;
         low = sums[lag] < low ? sums[lag] : low;
     }
-    while (rounded(high, exponent) > INT16_MAX || rounded(low, exponent) < -INT16_MAX) {
+    while (ta_rounded(high, exponent) > INT16_MAX || ta_rounded(low, exponent) < -INT16_MAX) {
         exponent++;
     }
     return exponent;
@@ -96,10 +96,10 @@ static unsigned exponent_of(const int64_t *sums)
 static uint32_t energy_code(uint64_t energy)
 {
     unsigned exponent = 0;
-    while (rounded((int64_t)energy, exponent) > (int64_t)ENERGY_MOST) {
+    while (ta_rounded((int64_t)energy, exponent) > (int64_t)ENERGY_MOST) {
         exponent++;
     }
-    return exponent << 10 | (uint32_t)rounded((int64_t)energy, exponent);
+    return exponent << 10 | (uint32_t)ta_rounded((int64_t)energy, exponent);
 }
 
 void ta_correlator_entry(const ta_correlator *c, size_t channel, uint8_t *out)
@@ -110,10 +110,10 @@ void ta_correlator_entry(const ta_correlator *c, size_t channel, uint8_t *out)
         sums[lag] = s->products[lag] - s->products[lag + 1u];
     }
     unsigned exponent = exponent_of(sums);
-    out[0] = s->clipped ? TP_WINDOW_CLIPPED : 0;
+    out[0] = s->flags;
     out[1] = (uint8_t)exponent;
     tp_put_le(out + 2, energy_code(s->energy), 2);
     for (size_t lag = 0; lag < TP_LAGS; lag++) {
-        tp_put_le(out + 4u + 2u * lag, (uint64_t)rounded(sums[lag], exponent), 2);
+        tp_put_le(out + 4u + 2u * lag, (uint64_t)ta_rounded(sums[lag], exponent), 2);
     }
 }

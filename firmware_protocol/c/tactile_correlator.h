@@ -15,7 +15,7 @@ typedef struct {
     uint64_t energy;
     int64_t products[TP_LAGS + 1]; /* of the current with the code 0 ... TP_LAGS instants before */
     int16_t codes[TA_CODES];       /* ring of the codes that were put out last */
-    bool clipped;
+    uint8_t flags;                 /* of its entry */
 } ta_correlated;
 
 typedef struct {
@@ -42,6 +42,9 @@ bool ta_correlator_played(ta_correlator *c, const int16_t *codes);
 /* Begins a window of `samples` if none is under way, with the instant whose current is known when
  * `position` has been put out. */
 void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples);
+
+/* Notes that a guard holds a channel down now, in a window that is open. */
+void ta_correlator_held(ta_correlator *c, size_t channel);
 
 /* Adds the current codes that are known now; returns whether that completes the window,
  * whose sums stay until the next one is opened. */

@@ -48,7 +48,7 @@ typedef struct {
 
     /* Gives the current codes of all channels at the instant that put_out was last called for, or
      * current_delay instants before where converters and filters delay them (16.1); it is called directly
-     * after put_out, at each instant of a window. A code of 32767 stands for the range of
+     * after put_out, at each instant of RUNNING. A code of 32767 stands for the range of
      * the ADC, and 32767 or -32767 says that it was at an end of it. Sample the currents by the clock that
      * puts out the codes, and wait here for the conversion. CAPS has the feature if this is not NULL. */
     void (*currents)(void *context, int16_t *codes);

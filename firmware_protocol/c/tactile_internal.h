@@ -79,6 +79,7 @@ ta_verdict ta_act_identify(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_poll(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_pcm(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_carriers(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_guard(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_spectrum(ta_amplifier *amp, const ta_request *r);
 
 void ta_send_caps(ta_amplifier *amp);

@@ -14,8 +14,8 @@
 #include <string.h>
 
 #define TP_MAJOR 1u
-#define TP_MINOR 2u
-#define TP_SCHEMA_CRC 0x8DD9777Du
+#define TP_MINOR 3u
+#define TP_SCHEMA_CRC 0xD1881435u
 #define TP_TABLE_STAYS 0x40u
 #define TP_TABLE_REFUSED 0x80u
 #define TP_WATCHDOG_MS 150u
@@ -33,6 +33,10 @@
 #define TP_LAGS 16u
 #define TP_CORRELATED_MOST 12u
 #define TP_EXPONENT_MOST 32u
+#define TP_GUARD_TAPS 13u
+#define TP_GUARD_BLOCK 8u
+#define TP_GUARD_BLOCKS 5u
+#define TP_GUARD_LEAST 1024u
 
 enum {
     TP_FLAG_ACK_REQUEST = 32,
@@ -122,7 +126,8 @@ enum {
     TP_FEATURE_SENSES = 1,
     TP_FEATURE_ZERO_ORDER_HOLD = 2,
     TP_FEATURE_ESTOP_INPUT = 4,
-    TP_FEATURE_CORRELATES = 8
+    TP_FEATURE_CORRELATES = 8,
+    TP_FEATURE_GUARDS = 16
 };
 
 enum {
@@ -134,7 +139,19 @@ enum {
 };
 
 enum {
-    TP_WINDOW_CLIPPED = 1
+    TP_WINDOW_CLIPPED = 1,
+    TP_WINDOW_GUARDED = 2
+};
+
+enum {
+    TP_GUARD_FLAG_ARMED = 1,
+    TP_GUARD_FLAG_RELEASE = 2
+};
+
+enum {
+    TP_GUARD_REASON_NONE = 0,
+    TP_GUARD_REASON_RESIDUAL = 1,
+    TP_GUARD_REASON_LOST = 2
 };
 
 enum {
@@ -668,6 +685,43 @@ static inline bool tp_spectrum_decode(tp_spectrum *m, const uint8_t *in, size_t 
     return true;
 }
 
+#define TP_GUARD 0x13u
+#define TP_GUARD_SIZE 4u
+typedef struct {
+    uint16_t session;
+    uint8_t first_channel;
+    uint8_t channels;
+    const uint8_t *entries;
+    size_t entries_size;
+} tp_guard;
+
+static inline size_t tp_guard_encode(const tp_guard *m, uint8_t *out, size_t room)
+{
+    if (room < TP_GUARD_SIZE || room - TP_GUARD_SIZE < m->entries_size) {
+        return 0;
+    }
+    tp_put_le(out + 0, (uint64_t)m->session, 2);
+    tp_put_le(out + 2, (uint64_t)m->first_channel, 1);
+    tp_put_le(out + 3, (uint64_t)m->channels, 1);
+    if (m->entries_size > 0) {
+        memcpy(out + TP_GUARD_SIZE, m->entries, m->entries_size);
+    }
+    return TP_GUARD_SIZE + m->entries_size;
+}
+
+static inline bool tp_guard_decode(tp_guard *m, const uint8_t *in, size_t length)
+{
+    if (length < TP_GUARD_SIZE) {
+        return false;
+    }
+    m->session = (uint16_t)tp_get_le(in, length, 0, 2);
+    m->first_channel = (uint8_t)tp_get_le(in, length, 2, 1);
+    m->channels = (uint8_t)tp_get_le(in, length, 3, 1);
+    m->entries = in + 4;
+    m->entries_size = length - 4;
+    return true;
+}
+
 #define TP_ACK 0x40u
 #define TP_ACK_SIZE 2u
 typedef struct {
@@ -1118,6 +1172,37 @@ static inline bool tp_correlation_decode(tp_correlation *m, const uint8_t *in, s
     m->lags = (uint8_t)tp_get_le(in, length, 10, 1);
     m->entries = in + 11;
     m->entries_size = length - 11;
+    return true;
+}
+
+#define TP_GUARDED 0x4Au
+#define TP_GUARDED_SIZE 4u
+typedef struct {
+    uint32_t position;
+    const uint8_t *reasons;
+    size_t reasons_size;
+} tp_guarded;
+
+static inline size_t tp_guarded_encode(const tp_guarded *m, uint8_t *out, size_t room)
+{
+    if (room < TP_GUARDED_SIZE || room - TP_GUARDED_SIZE < m->reasons_size) {
+        return 0;
+    }
+    tp_put_le(out + 0, (uint64_t)m->position, 4);
+    if (m->reasons_size > 0) {
+        memcpy(out + TP_GUARDED_SIZE, m->reasons, m->reasons_size);
+    }
+    return TP_GUARDED_SIZE + m->reasons_size;
+}
+
+static inline bool tp_guarded_decode(tp_guarded *m, const uint8_t *in, size_t length)
+{
+    if (length < TP_GUARDED_SIZE) {
+        return false;
+    }
+    m->position = (uint32_t)tp_get_le(in, length, 0, 4);
+    m->reasons = in + 4;
+    m->reasons_size = length - 4;
     return true;
 }
 

@@ -47,6 +47,7 @@ void ta_player_start(ta_player *p, uint32_t position)
     memset(p->lines, 0, sizeof p->lines);
     for (size_t c = 0; c < p->channels; c++) {
         ta_envelope_clear(&p->envelopes[c]);
+        p->held[c] = TA_GAIN_FULL;
     }
 }
 
@@ -318,6 +319,7 @@ static void last_stage(ta_player *p, bool plays)
         int32_t value = plays ? p->lines[c].value : 0;
         int32_t bounded = ta_clamp(value, p->limit);
         int32_t want = bounded * (int32_t)p->gain / (int32_t)p->gain_full;
+        want = want * p->held[c] / TA_GAIN_FULL;
         int32_t last = p->codes[c];
         int32_t next = last + ta_clamp(want - last, p->step);
         p->codes[c] = (int16_t)next;

@@ -42,6 +42,7 @@ typedef struct {
     int32_t step;
     uint32_t increments[TA_CARRIERS];
     int16_t codes[TA_CHANNELS]; /* codes that were put out last */
+    int32_t held[TA_CHANNELS];  /* gains of the guards (17.4), of TA_GAIN_FULL */
     ta_line lines[TA_CHANNELS];
     ta_envelope envelopes[TA_CHANNELS];
     int16_t buffer[TA_FIFO][TA_CHANNELS];

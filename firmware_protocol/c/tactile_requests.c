@@ -75,6 +75,7 @@ static const rule rules[] = {
     [TP_PCM] = {ta_act_pcm, TP_PCM_SIZE, 4, false, NULL},
     [TP_CARRIERS] = {ta_act_carriers, TP_CARRIERS_SIZE, 0, false, ta_on_carriers},
     [TP_SPECTRUM] = {ta_act_spectrum, TP_SPECTRUM_SIZE, 4, false, NULL},
+    [TP_GUARD] = {ta_act_guard, TP_GUARD_SIZE, 0, false, NULL},
 };
 
 static bool owns(const ta_amplifier *amp, const ta_request *r, size_t at)
@@ -94,7 +95,8 @@ static ta_verdict judge(ta_amplifier *amp, const ta_request *r)
     if (!any_flags && (p->flags & TP_FLAG_INCOMPATIBLE) != 0) {
         return ta_refuse_as(&amp->counters.unsupported, TP_NAK_UNSUPPORTED, p->flags);
     }
-    if (p->type >= sizeof rules / sizeof rules[0] || rules[p->type].act == NULL) {
+    bool known = p->type < sizeof rules / sizeof rules[0] && rules[p->type].act != NULL;
+    if (!known || (p->type == TP_GUARD && !ta_correlates(amp))) {
         return ta_refuse_as(&amp->counters.unknown_type, TP_NAK_UNKNOWN_TYPE, 0);
     }
     const rule *u = &rules[p->type];

@@ -15,7 +15,7 @@ void ta_send_caps(ta_amplifier *amp)
     m.formats = c->formats;
     m.features = (uint16_t)((amp->hal.sense != NULL ? TP_FEATURE_SENSES : 0) |
                             (amp->hal.estop_open != NULL ? TP_FEATURE_ESTOP_INPUT : 0) |
-                            (ta_correlates(amp) ? TP_FEATURE_CORRELATES : 0) |
+                            (ta_correlates(amp) ? TP_FEATURE_CORRELATES | TP_FEATURE_GUARDS : 0) |
                             (c->holds ? TP_FEATURE_ZERO_ORDER_HOLD : 0));
     m.packet_limit = c->packet_limit;
     m.fifo_samples = c->fifo_samples;

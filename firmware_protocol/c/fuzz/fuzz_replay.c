@@ -123,6 +123,23 @@ static size_t made_frame(const ta_player *p, const uint8_t *a, uint8_t *out)
     return TP_SPECTRUM_SIZE + size;
 }
 
+/* Guards that are armed more often than not, with shifts that are possible more often than not. */
+static size_t made_guard(const uint8_t *a, uint8_t *out)
+{
+    uint8_t first = a[0] % 4u;
+    uint8_t channels = (uint8_t)(1u + (unsigned)(a[0] >> 2) % (first < 3 ? 2u : 1u));
+    out[2] = first;
+    out[3] = channels;
+    fill(out + TP_GUARD_SIZE, TA_GUARD_ENTRY * channels, a[1]);
+    for (size_t i = 0; i < channels; i++) {
+        uint8_t *entry = out + TP_GUARD_SIZE + TA_GUARD_ENTRY * i;
+        entry[0] = a[2] % 8u != 0 ? TP_GUARD_FLAG_ARMED : entry[0];
+        entry[1] = a[3] % 33u;
+        entry[2] = a[4] % 33u;
+    }
+    return TP_GUARD_SIZE + TA_GUARD_ENTRY * channels;
+}
+
 /* A payload that fits the type, of five numbers. */
 static size_t made(const ta_player *p, uint8_t type, const uint8_t *a, uint8_t *out)
 {
@@ -155,6 +172,8 @@ static size_t made(const ta_player *p, uint8_t type, const uint8_t *a, uint8_t *
         return TP_CARRIERS_SIZE + 4u * out[2];
     case TP_SPECTRUM:
         return made_frame(p, a, out);
+    case TP_GUARD:
+        return made_guard(a, out);
     default:
         memcpy(out + 2, a, 5);
         return 7;

@@ -68,6 +68,8 @@ static uint32_t payload_again(const ta_packet *packet)
         AGAIN(SENSE, sense)
         AGAIN(LOG, log)
         AGAIN(CORRELATION, correlation)
+        AGAIN(GUARD, guard)
+        AGAIN(GUARDED, guarded)
     default:
         return NONE;
     }

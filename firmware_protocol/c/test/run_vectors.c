@@ -23,7 +23,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "../tactile_correlator.h"
+#include "../tactile_guard.h"
 #include "../tactile_link.h"
 #include "../tactile_samples.h"
 #include "../tactile_spectrum.h"
@@ -422,6 +422,29 @@ static void do_correlate(void)
     show(entry, sizeof entry);
 }
 
+static void do_guard(void)
+{
+    static ta_correlator correlator;
+    static ta_guard guard;
+    int16_t code;
+    ta_correlator_start(&correlator, 1, 0);
+    ta_guard_start(&guard, 1, 8000);
+    if (hex(word()) != TA_GUARD_ENTRY) {
+        printf("wrong length ");
+    }
+    ta_guard_take(&guard, 0, bytes);
+    size_t samples = number();
+    for (size_t i = 0; i < samples; i++) {
+        code = (int16_t)number();
+        ta_correlator_played(&correlator, &code);
+        code = (int16_t)number();
+        (void)ta_guard_add(&guard, &correlator, &code);
+        if (i % TP_GUARD_BLOCK == TP_GUARD_BLOCK - 1) {
+            printf("%u ", (unsigned)guard.guards[0].reason);
+        }
+    }
+}
+
 int main(void)
 {
     static const struct {
@@ -437,7 +460,7 @@ int main(void)
         {"decode", do_decode},         {"encode", do_encode},
         {"sine", do_sine},             {"amplitude", do_amplitude},
         {"phasor", do_phasor},         {"value", do_value},
-        {"correlate", do_correlate},
+        {"correlate", do_correlate},   {"guard", do_guard},
     };
     while (fgets(line, sizeof line, stdin) != NULL) {
         const char *name = strtok(line, " \n");

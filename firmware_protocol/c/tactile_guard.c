@@ -1,0 +1,185 @@
+/* Guards; see the header. */
+#include "tactile_guard.h"
+
+#define POLE_BITS 14u
+#define OLDER 2u /* instants by which the current that is judged is older than the latest */
+#define FALL_HZ 1000u
+#define RISE_HZ 20u
+
+static int32_t per_instant(uint32_t rate, uint32_t hertz)
+{
+    int32_t instants = (int32_t)(rate / hertz > 0 ? rate / hertz : 1u);
+    return (TA_GAIN_FULL - (int32_t)TP_GUARD_LEAST + instants - 1) / instants;
+}
+
+void ta_guard_start(ta_guard *g, uint8_t channels, uint32_t rate)
+{
+    memset(g, 0, sizeof *g);
+    g->channels = channels;
+    g->left = TP_GUARD_BLOCK;
+    g->fall = per_instant(rate, FALL_HZ);
+    g->rise = per_instant(rate, RISE_HZ);
+}
+
+static uint32_t get(const uint8_t *entry, size_t at, size_t size)
+{
+    return (uint32_t)tp_get_le(entry, TA_GUARD_ENTRY, at, size);
+}
+
+bool ta_guard_valid(const uint8_t *entry)
+{
+    return entry[1] <= TA_GUARD_SHIFT_MOST && entry[2] <= TA_GUARD_SHIFT_MOST;
+}
+
+void ta_guard_take(ta_guard *g, size_t channel, const uint8_t *entry)
+{
+    ta_guard_entry *e = &g->guards[channel].pending;
+    e->armed = (entry[0] & TP_GUARD_FLAG_ARMED) != 0;
+    e->releases = (entry[0] & TP_GUARD_FLAG_RELEASE) != 0;
+    e->drive_shift = entry[1];
+    e->change_shift = entry[2];
+    e->limit = (uint16_t)get(entry, 4, 2);
+    e->share = (uint16_t)get(entry, 6, 2);
+    e->floor = get(entry, 8, 4);
+    for (size_t i = 0; i < 2; i++) {
+        e->poles[i] = (int16_t)get(entry, 12 + 2 * i, 2);
+    }
+    for (size_t i = 0; i < TP_GUARD_TAPS; i++) {
+        e->drive[i] = (int16_t)get(entry, 16 + 2 * i, 2);
+        e->change[i] = (int16_t)get(entry, 16 + 2 * (TP_GUARD_TAPS + i), 2);
+    }
+    g->guards[channel].waits = true;
+}
+
+void ta_guard_move(const ta_guard *g, int32_t *gains)
+{
+    for (size_t i = 0; i < g->channels; i++) {
+        if (g->guards[i].reason != TP_GUARD_REASON_NONE) {
+            int32_t lower = gains[i] - g->fall;
+            gains[i] = lower > (int32_t)TP_GUARD_LEAST ? lower : (int32_t)TP_GUARD_LEAST;
+        } else {
+            int32_t higher = gains[i] + g->rise;
+            gains[i] = higher < TA_GAIN_FULL ? higher : TA_GAIN_FULL;
+        }
+    }
+}
+
+static bool watches(const ta_guarded *u)
+{
+    return u->entry.armed && u->reason == TP_GUARD_REASON_NONE;
+}
+
+/* A block begins, with an entry that has come during the last one. Returns whether that releases the
+ * channel. */
+static bool begin(ta_guarded *u)
+{
+    uint8_t before = u->reason;
+    if (u->waits) {
+        if (!watches(u)) {
+            u->complete = 0;
+            u->doubted = false;
+        }
+        u->reason = u->pending.releases ? TP_GUARD_REASON_NONE : u->reason;
+        u->entry = u->pending;
+        u->waits = false;
+    }
+    memset(&u->sums, 0, sizeof u->sums);
+    return u->reason != before;
+}
+
+static int32_t code(int64_t value)
+{
+    return (int32_t)(value > INT16_MAX ? INT16_MAX : value < -INT16_MAX ? -INT16_MAX : value);
+}
+
+/* Adds an instant; `place` is that of the code of the current in the ring of codes. */
+static void accumulate(ta_guarded *u, const int16_t *codes, size_t place)
+{
+    const ta_guard_entry *e = &u->entry;
+    int64_t expected = 0;
+    int64_t change = 0;
+    for (size_t lag = 0; lag < TP_GUARD_TAPS; lag++) {
+        size_t before = place > 0 ? place - 1u : TA_CODES - 1u;
+        int32_t step = (int32_t)codes[place] - codes[before];
+        expected += (int64_t)step * e->drive[lag];
+        change += (int64_t)step * e->change[lag];
+        place = before;
+    }
+    int32_t current = u->currents[OLDER - 1u];
+    int64_t now = (int64_t)current * (1 << POLE_BITS);
+    now += (int32_t)u->currents[OLDER] * e->poles[0];
+    now += (int32_t)u->currents[OLDER + 1u] * e->poles[1];
+    int32_t residual = code(ta_rounded(now, POLE_BITS) - ta_rounded(expected, e->drive_shift));
+    int32_t gone = code(ta_rounded(change, e->change_shift));
+    u->sums.residual += residual * residual;
+    u->sums.current += current * current;
+    u->sums.product += residual * gone;
+    u->sums.change += gone * gone;
+}
+
+static void add_sums(ta_guard_sums *to, const ta_guard_sums *more)
+{
+    to->residual += more->residual;
+    to->current += more->current;
+    to->product += more->product;
+    to->change += more->change;
+}
+
+/* The sums of all blocks that are kept. */
+static ta_guard_sums latest(const ta_guarded *u)
+{
+    ta_guard_sums all = {0, 0, 0, 0};
+    for (size_t i = 0; i < TP_GUARD_BLOCKS; i++) {
+        add_sums(&all, &u->blocks[i]);
+    }
+    return all;
+}
+
+/* The decision at the end of a block, section 17.3. */
+static uint8_t judge(ta_guarded *u)
+{
+    const ta_guard_entry *e = &u->entry;
+    memmove(u->blocks + 1, u->blocks, sizeof u->blocks - sizeof u->blocks[0]);
+    u->blocks[0] = u->sums;
+    u->complete = (uint8_t)(u->complete < TP_GUARD_BLOCKS ? u->complete + 1u : TP_GUARD_BLOCKS);
+    ta_guard_sums all = latest(u);
+    int64_t allowed = (int64_t)TP_GUARD_BLOCK * e->limit * e->limit;
+    allowed += ta_shift_right(e->share * u->sums.current, 16);
+    bool lost = u->complete >= TP_GUARD_BLOCKS && 5 * all.product > 3 * all.change &&
+                all.product > (int64_t)e->floor;
+    bool sure = lost && u->doubted;
+    u->doubted = lost;
+    if (u->sums.residual > allowed) {
+        return TP_GUARD_REASON_RESIDUAL;
+    }
+    return sure ? TP_GUARD_REASON_LOST : TP_GUARD_REASON_NONE;
+}
+
+static void remember(ta_guarded *u, int16_t current)
+{
+    memmove(u->currents + 1, u->currents, sizeof u->currents - sizeof u->currents[0]);
+    u->currents[0] = current == INT16_MIN ? -INT16_MAX : current;
+}
+
+bool ta_guard_add(ta_guard *g, const ta_correlator *c, const int16_t *currents)
+{
+    size_t place = (c->newest + TA_CODES - c->delay) % TA_CODES;
+    bool over = g->left == 1;
+    bool changed = false;
+    for (size_t i = 0; i < g->channels; i++) {
+        ta_guarded *u = &g->guards[i];
+        if (watches(u)) {
+            accumulate(u, c->sums[i].codes, place);
+            u->reason = over ? judge(u) : u->reason;
+            changed = changed || u->reason != TP_GUARD_REASON_NONE;
+        } else if (over) {
+            u->complete = 0;
+        }
+        remember(u, currents[i]);
+        if (over && begin(u)) {
+            changed = true;
+        }
+    }
+    g->left = (uint8_t)(over ? TP_GUARD_BLOCK : g->left - 1u);
+    return changed;
+}

@@ -23,6 +23,7 @@ from benchmarks.optimize import measure_optimize
 from benchmarks.protocol import measure_protocol
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from benchmarks.sensing import measure_sensing
+from benchmarks.sensing_guard import measure_guard
 from benchmarks.session import measure_session
 from benchmarks.spectrum import measure_spectrum
 from benchmarks.startup import measure_startup
@@ -72,6 +73,7 @@ LONG: dict[str, Benchmark] = {
     "estop-long": partial(estop.measure_estop, estop.LONG),
     "estop-play": estop.measure_estop_play,
     "sensing": measure_sensing,
+    "guard": measure_guard,
     "session": measure_session,
     "hour": partial(crowd.measure_crowd, crowd.SOAK),
     "crowd-long": partial(crowd.measure_crowd, crowd.LONG),

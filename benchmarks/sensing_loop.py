@@ -305,8 +305,15 @@ class Loop:
             window = self._window()
             if begin > WINDOW:  # the drive jumps at the beginning of the first window
                 estimate = self._estimate(window)
-                ahead = np.concatenate([each.ahead(AHEAD) for each in self._estimators])
-                self._next = self.mix.taps(ahead, estimate.touching)
+                self._next = self.mix.taps(self._ahead(AHEAD), estimate.touching)
+                self._estimated(estimate)
+
+    def _ahead(self, windows: float) -> Floats:
+        """Return the loads that are to be expected a number of windows after the last estimate."""
+        return np.concatenate([each.ahead(windows) for each in self._estimators])
+
+    def _estimated(self, estimate: Estimate) -> None:
+        """Take note of an estimate."""
 
     def _estimate(self, window: SumWindow) -> Estimate:
         """Update the estimator of each finger, and return all estimates as one."""
@@ -321,22 +328,31 @@ class Loop:
             np.concatenate([each.covariance for each in estimates]),
             np.concatenate([each.inconsistency for each in estimates]),
             np.concatenate([each.touching for each in estimates]),
+            np.concatenate([each.capacitance for each in estimates]),
         )
 
     def _play(self, begin: int) -> None:
         """Play the drive of a window."""
-        n = len(self._taps)
         shear = np.tile(self._shear[begin : begin + WINDOW], (1, self.case.fingers))
         drive = self._equalizer(shear, np.zeros(len(shear))).astype(np.float64)
         if self._piloted:
             drive += pilot(begin, len(shear), RATE, self._phases)
         self._beyond.append(float(np.mean(np.abs(drive) > VOLTAGE)))
         drive = np.rint(drive / CODE) * CODE
-        time = (begin + np.arange(len(shear)) - REACH) / RATE
-        scale = np.sqrt(self.force(np.maximum(time, 0)))
-        _, current = self.plant.step(drive, np.repeat(scale[:, None], n, axis=1))
+        drive, current = self._put_out(begin, drive)
         self._drive = np.concatenate([self._drive, drive])[len(drive) :]
         self._current = np.concatenate([self._current, current])[len(current) :]
+
+    def _scale(self, first: int, samples: int) -> Floats:
+        """Return the scale of the loads (S, N) while samples are put out."""
+        time = (first + np.arange(samples) - REACH) / RATE
+        scale = np.sqrt(self.force(np.maximum(time, 0)))
+        return np.repeat(scale[:, None], len(self._taps), axis=1)
+
+    def _put_out(self, begin: int, drive: Floats) -> tuple[Floats, Floats]:
+        """Put out the drive of a window; return what was played of it, and the current."""
+        _, current = self.plant.step(drive, self._scale(begin, len(drive)))
+        return drive, current
 
     def _window(self) -> SumWindow:
         """Return the window before the one that was played last."""

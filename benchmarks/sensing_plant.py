@@ -369,7 +369,9 @@ class SensingPlant:
         charged = np.sum(t.drive**2 * resonance, axis=1) + t.rest_vv
         return yielding.T, driven.T, charged.T
 
-    def step(self, drive: Floats, scale: Floats | None = None) -> tuple[Floats, Floats]:
+    def step(
+        self, drive: Floats, scale: Floats | None = None, gain: Floats | None = None
+    ) -> tuple[Floats, Floats]:
         """Advance the plant.
 
         Parameters
@@ -379,6 +381,9 @@ class SensingPlant:
         scale : (S, N) array of float, optional
             Scale of the loads while the drive of `REACH` samples ago is played; by default it
             stays as it is. A finger that comes touches the tip where the tip is.
+        gain : (S, N) array of float, optional
+            Gain of the amplifier behind the interpolation, while the drive of `REACH` samples ago
+            is played; 1 by default.
 
         Returns
         -------
@@ -388,6 +393,8 @@ class SensingPlant:
             Measured current, as late [A].
         """
         volts = self._interpolated(drive)
+        if gain is not None:
+            volts = volts * np.repeat(gain, SUBSTEPS, axis=0)
         scales = np.repeat(self.scale[None], len(drive), 0) if scale is None else scale
         moved, charge = self._moved(volts, scales)
         line = np.concatenate([self._charges, charge + self._dielectric(volts)])

@@ -86,12 +86,15 @@ class Estimate:
         and infinite where a window was not valid.
     touching : (N,) array of bool
         Whether a finger is on the contactor. Where none is, the load is that of the population.
+    capacitance : (N,) array of float
+        Logarithm of the capacitance against that of the calibration.
     """
 
     logarithms: Floats
     covariance: Floats
     inconsistency: Floats
     touching: NDArray[np.bool_]
+    capacitance: Floats
 
 
 class LoadEstimator:
@@ -140,6 +143,17 @@ class LoadEstimator:
         self._windows[contactors] = 0
         if contactors.all():
             self._rate = 0.0
+
+    def lift(self, contactors: NDArray[np.bool_]) -> None:
+        """Take note that contactors have lost the finger, as an amplifier's guard has noticed.
+
+        Parameters
+        ----------
+        contactors : (N,) array of bool
+            Contactors that have.
+        """
+        self._touching = self._touching & ~contactors
+        self.restart(contactors)
 
     def update(self, window: SumWindow) -> Estimate:
         """Take the sums of a window of 25 ms.
@@ -191,6 +205,7 @@ class LoadEstimator:
             self._covariance[:, :CONSTANTS, :CONSTANTS].copy(),
             inconsistency,
             self._touching.copy(),
+            self._state[:, CONSTANTS].copy(),
         )
 
     def _test_air(
@@ -214,6 +229,8 @@ class LoadEstimator:
         better = squares - touched
         sure = valid & (np.abs(better) > DECISIVE)
         sure &= ~self._touching | (self._windows >= CONVERGED)
+        # after lift-off a tip swings as neither model says: what explains nothing is no finger
+        sure &= self._touching | (touched <= CONSISTENT * residual.shape[1])
         self._touching = np.where(sure, better > 0, self._touching)
         air = ~self._touching & valid
         self.restart(~self._touching)

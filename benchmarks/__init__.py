@@ -13,6 +13,7 @@ from benchmarks.budgets import measure_budgets
 from benchmarks.clock import measure_clock
 from benchmarks.cluster import measure_dask, measure_million
 from benchmarks.faults import measure_faults
+from benchmarks.finger import measure_finger
 from benchmarks.fit import measure_fit
 from benchmarks.friction import measure_friction
 from benchmarks.fuzz import measure_fuzz
@@ -54,6 +55,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "budgets": measure_budgets,
     "links": links.measure_links,
     "fit": measure_fit,
+    "finger": measure_finger,
     "tracking": measure_tracking,
     "latency": measure_latency,
     "waves": measure_waves,

@@ -46,7 +46,7 @@ MAP: dict[str, set[str]] = {
         "bus", "clock", "devices", "display", "estop", "files", "messages", "paths",
         "processes", "rendering", "sensing", "sim", "strength", "texture", "tracking",
     },
-    "bringup": {"actuator", "bus", "devices", "display", "playback", "sensing"},
+    "bringup": {"actuator", "bus", "devices", "display", "files", "playback", "sensing"},
     "server": {
         "clock", "display", "estop", "files", "messages", "paths", "playback",
         "processes", "rendering", "texture", "tracking",

@@ -16,7 +16,7 @@ from cli_rig import Command
 from display_files import contactors, load
 
 from tactile.actuator.tolerances import Tolerances
-from tactile.bringup import calibrating
+from tactile.bringup import current_measuring
 from tactile.bringup.calibrating import CalibrationReport, calibrate
 from tactile.bus.base import Bus
 from tactile.devices import open_bus
@@ -127,7 +127,7 @@ def test_the_bus_is_opened_with_20_v(folder: Path, monkeypatch: pytest.MonkeyPat
         opened.append(open_bus(*arguments, **named))
         return opened[-1]
 
-    monkeypatch.setattr(calibrating, "open_bus", open_and_keep)
+    monkeypatch.setattr(current_measuring, "open_bus", open_and_keep)
     with pytest.raises(InputError):
         calibrate("mock:", display_file(folder))
     assert opened[0].wiring.voltage == 20.0

@@ -1,28 +1,19 @@
 """Calibration of a display in air: each bender's current while a few tones play at a time.
 
-Nothing may touch the display meanwhile. Drive and electrodes never exceed 20 V: the bus is opened
-with that limit, so that host, bus and amplifier each enforce it on their own. A calibration is
-written only if no contactor has a fault.
+Nothing may touch the display meanwhile. A calibration is written only if no contactor has a fault.
 """
 
 import datetime
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile.arrays import Floats
-from tactile.bringup.probe import cautious
-from tactile.bus.base import Bus, DriveBlock
-from tactile.bus.registry import with_default_option
-from tactile.devices import open_bus
-from tactile.display.display import Display, load_display
-from tactile.errors import BusError, InputError
-from tactile.playback.estop_guard import guarded
+from tactile.bringup.current_measuring import Progress, measuring_device
+from tactile.display.display import Display
 from tactile.playback.finger_following import WINDOW_MS
-from tactile.playback.sum_windows import PlayedWindow, SumWindows
+from tactile.playback.sum_windows import PlayedWindow
 from tactile.sensing.admittance import AirWindows, measure_admittances
 from tactile.sensing.baseline import fit_baseline
 from tactile.sensing.baseline_file import (
@@ -30,22 +21,7 @@ from tactile.sensing.baseline_file import (
     check_calibration_file,
     save_calibration,
 )
-from tactile.sensing.bender import bender_of
-from tactile.sensing.calibration import (
-    LARGEST,
-    CalibrationPlan,
-    MeasuringLimits,
-    plan_calibration,
-)
-
-BLOCK = 64
-"""Number of samples of a block."""
-LISTENING = 0.3
-"""Time at 0 V before the calibration, in which the amplifier tells its range, and after it, in
-which the last windows come [s]."""
-
-Progress = Callable[[float, float], None]
-"""Function that is called with the time that has been played and the whole time [s]."""
+from tactile.sensing.calibration import CalibrationPlan, plan_calibration
 
 
 @dataclass
@@ -169,26 +145,12 @@ def calibrate(
     TactileError
         If the device measures no currents, or device or file cannot be used.
     """
-    display = cautious(load_display(source), LARGEST)
     if write is not None:
         check_calibration_file(write, force=force)  # before anything is measured
-    asked = with_default_option(url, "correlation_ms", str(WINDOW_MS))
-    with (
-        open_bus(asked, display, accept_unsafe_hold=accept_unsafe_hold) as bus,
-        guarded(bus, url),
-    ):
-        if not bus.correlates or bus.frames is not None:
-            raise InputError(
-                f"device {url!r}: measures no currents while it plays samples; an amplifier with "
-                "the feature CORRELATES does"
-            )
-        rate = bus.wiring.sample_rate
-        bender = bender_of(display.bimorph, display.amplifier, rate)
-        limits = MeasuringLimits(
-            current=_current_range(bus, display), voltage=display.limits.voltage, slew=display.slew
-        )
+    with measuring_device(url, source, accept_unsafe_hold=accept_unsafe_hold) as device:
+        display, bender, rate, limits = device.display, device.bender, device.rate, device.limits()
         plan = plan_calibration(bender, rate, limits, window=round(WINDOW_MS * 1e-3 * rate))
-        windows = _played(plan.drive, bus, display, progress)
+        windows = device.play(plan.drive, progress)
     admittances = measure_admittances(plan, _air_windows(windows), plan.drive)
     baseline = fit_baseline(
         admittances.frequency, admittances.value, bender,
@@ -203,39 +165,8 @@ def calibrate(
     return report, calibration
 
 
-def _current_range(bus: Bus, display: Display) -> float:
-    """Return the current at the end of the amplifiers' range, which their windows tell [A]."""
-    windows = _played(np.zeros(0), bus, display, None)
-    if not windows:
-        raise BusError("no windows of currents came: does the link lose packets?")
-    return min(window.current_range for window in windows)
-
-
-def _played(
-    drive: Floats, bus: Bus, display: Display, progress: Progress | None
-) -> list[PlayedWindow]:
-    """Play a drive on all contactors, and a while of 0 V; return the windows that came."""
-    rate, taken = bus.wiring.sample_rate, SumWindows(display, bus)
-    whole = np.concatenate([drive, np.zeros(round(LISTENING * rate))])
-    windows = []
-    bus.start()
-    for position in range(0, len(whole), BLOCK):
-        volts = np.repeat(whole[position : position + BLOCK, None], len(display.contactors), axis=1)
-        bus.write(DriveBlock(position, display.to_channels(volts)))
-        if bus.state != "running":
-            raise BusError(bus.status.detail or "the device stopped during the calibration")
-        taken.wrote(position, volts)
-        windows += taken.take()
-        if progress is not None:
-            progress(position / rate, len(whole) / rate)
-    bus.stop()
-    return windows
-
-
 def _air_windows(windows: list[PlayedWindow]) -> AirWindows:
     """Return windows as the estimate of the admittances takes them."""
-    if not windows:
-        raise BusError("no windows of currents came: does the link lose packets?")
     return AirWindows(
         np.array([window.position for window in windows]),
         np.stack([window.window.sums for window in windows]),

@@ -51,6 +51,7 @@ COMMANDS = {
         DEVICES, "Check the amplifier, the wiring and the channels of a display."
     ),
     "devices": CommandEntry(DEVICES, "List the connected devices with their URLs."),
+    "finger": CommandEntry(DEVICES, "Measure the finger that rests on a display."),
     "clear": CommandEntry(SERVE, "Clear an e-stop after a person has checked that it is safe."),
     "estop": CommandEntry(SERVE, "Stop all displays of this machine immediately."),
     "serve": CommandEntry(SERVE, "Serve displays to other programs by WebSocket and OSC."),

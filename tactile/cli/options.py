@@ -4,11 +4,14 @@ import json
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from tactile.errors import InputError
+
+if TYPE_CHECKING:
+    from tactile.sensing.baseline_file import Calibration
 
 Facts = TypeVar("Facts")
 
@@ -159,6 +162,36 @@ def check_plot(plot: Path | None) -> None:
         from tactile.show.plots import check_file
 
         check_file(plot)
+
+
+def read_calibration(file: Path | None, display: str) -> "Calibration":
+    """Read the calibration of a display, and say how to make it if there is none.
+
+    Parameters
+    ----------
+    file : file of the option ``--calibration``, or None for where `tactile calibrate` writes it
+    display : name of the display
+
+    Returns
+    -------
+    Calibration
+        Calibration.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is not a calibration.
+    """
+    from tactile.playback.finger_following import default_calibration
+    from tactile.sensing.baseline_file import load_calibration
+
+    path = file or default_calibration(display)
+    if not path.exists():
+        raise InputError(
+            f"{path}: no such file; measure the display in air first: tactile calibrate DEVICE "
+            f"--display {display}"
+        )
+    return load_calibration(path)
 
 
 def check_outputs(out: Path | None, plot: Path | None, report: Path | None) -> None:

@@ -20,6 +20,7 @@ from tactile.cli.options import (
     SpeedOption,
     TextureOrEffect,
     emit,
+    read_calibration,
     within,
 )
 from tactile.cli.printing import print_facts
@@ -174,16 +175,7 @@ def _calibration(
         if file is not None:
             raise InputError("--calibration: is used with --finger follow only")
         return None
-    from tactile.playback.finger_following import default_calibration
-    from tactile.sensing.baseline_file import load_calibration
-
-    path = file or default_calibration(display.name)
-    if not path.exists():
-        raise InputError(
-            f"{path}: no such file; measure the display in air first: tactile calibrate DEVICE "
-            f"--display {display.name}"
-        )
-    return load_calibration(path)
+    return read_calibration(file, display.name)
 
 
 class _Request(NamedTuple):

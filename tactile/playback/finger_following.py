@@ -101,9 +101,7 @@ class FingerFollowing:
         rate = bus.wiring.sample_rate
         bender = bender_of(display.bimorph, display.amplifier, rate)
         calibration.check_display(bender, len(display.contactors), rate)
-        faults = [f"contactor {k}: {f}" for k, f in enumerate(calibration.baseline.faults) if f]
-        if faults:
-            raise InputError(f"finger follow: the calibration has faults: {faults[0]}")
+        calibration.check_faults()
         self.follower = LoadFollower(
             calibration.baseline,
             polarity=display.polarity,

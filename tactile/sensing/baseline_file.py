@@ -129,6 +129,18 @@ class Calibration:
                     "calibrate again"
                 )
 
+    def check_faults(self) -> None:
+        """Check that the calibration has no faults.
+
+        Raises
+        ------
+        InputError
+            If a contactor has one; the first is named.
+        """
+        faults = [f"contactor {k}: {f}" for k, f in enumerate(self.baseline.faults) if f]
+        if faults:
+            raise InputError(f"calibration of {self.display}, {self.date}: has faults: {faults[0]}")
+
 
 def _same(ours: Complex, theirs: Complex) -> bool:
     """Return whether two arrays agree."""

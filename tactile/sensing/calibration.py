@@ -198,11 +198,44 @@ def _tones(
     lines: Floats, samples: int, sample_rate: float, bender: Bender, limits: MeasuringLimits,
     rng: np.random.Generator,
 ) -> Floats:  # fmt: skip
-    """Return the sum of some lines (S,), as large as the limits allow, with low peaks [V]."""
+    """Return the sum of some lines (S,), whose currents are alike but for slow lines [V]."""
     gain = bender.electrode_voltage(lines)
     per_volt = 2j * np.pi * lines * gain * _charges(lines, bender)
     floor = 2 * np.pi * CORNER * bender.capacitance * np.abs(gain)
     amplitude = 1 / np.maximum(np.abs(per_volt).max(axis=0), floor)
+    return strongest(lines, amplitude, samples, sample_rate, bender, limits, rng)
+
+
+def strongest(
+    lines: Floats, amplitude: Floats, samples: int, sample_rate: float, bender: Bender,
+    limits: MeasuringLimits, rng: np.random.Generator,
+) -> Floats:  # fmt: skip
+    """Compute a sum of tones with low peaks, as large as the limits allow.
+
+    Parameters
+    ----------
+    lines : (K,) array of float
+        Frequencies [Hz].
+    amplitude : (K,) array of float
+        Amplitudes, in relation to each other.
+    samples : int
+        Number of samples, S.
+    sample_rate : float
+        Sample rate [Hz].
+    bender : Bender
+        The design; benders that are stiffer and softer keep the limits too, in air and held.
+    limits : MeasuringLimits
+        Limits of the drive; the electrodes have `LARGEST` besides.
+    rng : Generator
+        Source of the phases, of which the best of `TRIALS` sets is taken.
+
+    Returns
+    -------
+    (S,) array of float
+        Drive [V].
+    """
+    gain = bender.electrode_voltage(lines)
+    per_volt = 2j * np.pi * lines * gain * _charges(lines, bender)
     turns = amplitude * np.exp(2j * np.pi / sample_rate * np.outer(np.arange(samples), lines))
     coarse = per_volt[:: len(per_volt) // 8]
     phases = np.exp(2j * np.pi * rng.random((TRIALS, len(lines))))

@@ -22,13 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
-from tactile.sensing.correlation import BEFORE, LAGS, SumWindow, step_products
+from tactile.sensing.correlation import SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.population import CONSTANTS, Population, spread
+from tactile.sensing.whitening import STATES, WhitenedSums
 
-STATES = CONSTANTS + 1
-"""Number of states of a contactor: four constants of the load, and the factor of its capacitance,
-all as logarithms."""
 CAPACITANCE_SPREAD = 0.02
 """Standard deviation of ln of the capacitance against the baseline at the start (assumed:
 some kelvins of a soft ceramic)."""
@@ -54,11 +52,6 @@ LARGEST_STEP = 1.5
 """Largest change of a state in an iteration."""
 FARTHEST = 3.0
 """Distance from the population's mean to which a state is clamped, in standard deviations."""
-SMALLEST = 1e-9
-"""Smallest eigenvalue of the products of the steps that carries information, relative to the
-largest."""
-TINY = 1e-30
-"""Number added to the eigenvalues, so that a drive at rest has none of zero [V²]."""
 SETTLING_WINDOWS = 3
 """Number of windows after a touch whose changes say nothing about the rate of the load."""
 DECISIVE = 12.0
@@ -97,6 +90,27 @@ class Estimate:
     capacitance: Floats
 
 
+def prior_of(population: Population) -> tuple[Floats, Floats]:
+    """Return what is known of a contactor before its current is.
+
+    Parameters
+    ----------
+    population : Population
+        Fingers that are to be expected.
+
+    Returns
+    -------
+    mean : (STATES,) array of float
+        Mean of the state.
+    covariance : (STATES, STATES) array of float
+        Covariance of the state.
+    """
+    covariance = np.zeros((STATES, STATES))
+    covariance[:CONSTANTS, :CONSTANTS] = population.covariance
+    covariance[CONSTANTS, CONSTANTS] = CAPACITANCE_SPREAD**2
+    return np.append(population.mean, 0.0), covariance
+
+
 class LoadEstimator:
     """Follows the loads of N contactors from window to window.
 
@@ -113,10 +127,7 @@ class LoadEstimator:
     def __init__(self, model: CurrentModel, population: Population, *, noise: float) -> None:
         self._model, self._noise = model, noise
         n = len(model.electrical)
-        self._mean = np.append(population.mean, 0.0)
-        self._prior = np.zeros((STATES, STATES))
-        self._prior[:CONSTANTS, :CONSTANTS] = population.covariance
-        self._prior[CONSTANTS, CONSTANTS] = CAPACITANCE_SPREAD**2
+        self._mean, self._prior = prior_of(population)
         self._added = FORGETTING * self._prior
         self._added[:CONSTANTS, :CONSTANTS] += spread(COMMON_DRIFT, OWN_DRIFT)
         self._added[CONSTANTS, CONSTANTS] = CAPACITANCE_DRIFT**2
@@ -169,7 +180,7 @@ class LoadEstimator:
             Loads at the middle of the window.
         """
         valid = window.valid & np.isfinite(window.sums).all(axis=1)
-        whitened = _Whitened.of(self._model, window, self._noise)
+        whitened = WhitenedSums.of(self._model, window, self._noise, MODEL_ERROR)
         before = self._state
         expected = np.concatenate([self.ahead(1), before[:, CONSTANTS:]], axis=1)
         state = expected
@@ -210,7 +221,7 @@ class LoadEstimator:
 
     def _test_air(
         self,
-        whitened: "_Whitened",
+        whitened: WhitenedSums,
         valid: NDArray[np.bool_],
         before: Floats,
         predicted: Floats,
@@ -221,11 +232,10 @@ class LoadEstimator:
         ``touched`` (N,) are the squares of the residuals under a finger. Return the mean square of
         the residual of each contactor in air, and NaN of the others.
         """
-        electrical = whitened.electrical * np.exp(before[:, CONSTANTS, None])
-        residual = whitened.measured - electrical - whitened.air
-        information = (electrical**2).sum(axis=1) + 1 / predicted[:, CONSTANTS, CONSTANTS]
-        drift = (electrical * residual).sum(axis=1) / information
-        squares = np.sum((residual - drift[:, None] * electrical) ** 2, axis=1)
+        drift, information, residual = whitened.in_air(
+            before[:, CONSTANTS], predicted[:, CONSTANTS, CONSTANTS]
+        )
+        squares = np.sum(residual**2, axis=1)
         better = squares - touched
         sure = valid & (np.abs(better) > DECISIVE)
         sure &= ~self._touching | (self._windows >= CONVERGED)
@@ -255,54 +265,3 @@ class LoadEstimator:
         """
         settled = (self._windows >= SETTLING_WINDOWS)[:, None]
         return np.asarray(self._state[:, :CONSTANTS] + windows * self._rate * settled)
-
-
-@dataclass(frozen=True)
-class _Whitened:
-    """Sums of a window and their prediction, whitened.
-
-    ``measured`` (N, J), ``electrical`` (N, J), ``air`` (N, J) and ``shared`` (N, J, R) are the
-    measured sums and those of the model's filters.
-    """
-
-    measured: Floats
-    electrical: Floats
-    air: Floats
-    shared: Floats
-
-    @classmethod
-    def of(cls, model: CurrentModel, window: SumWindow, noise: float) -> "_Whitened":
-        """Whiten a window: in each direction the noise and the model's error have variance 1."""
-        products = step_products(window.steps, window.samples)
-        sums = np.where(np.isfinite(window.sums), window.sums, 0)
-        gram = products[:, BEFORE : BEFORE + LAGS]
-        size, axes = np.linalg.eigh(gram)
-        size = np.maximum(size, SMALLEST * size[:, -1:] + TINY)
-        turned = axes.transpose(0, 2, 1) / np.sqrt(size)[..., None]
-        measured = np.einsum("njl,nl->nj", turned, sums)
-        rounding = window.resolution[:, None] ** 2 / (12 * size)
-        deviation = np.sqrt(noise**2 + (MODEL_ERROR * measured) ** 2 + rounding)
-        turned = turned / deviation[..., None]
-        through = turned @ products.transpose(0, 2, 1)
-        return cls(
-            measured / deviation,
-            (through @ model.electrical[..., None])[..., 0],
-            (turned @ model.air_sums(window)[..., None])[..., 0],
-            through @ model.shared.T,
-        )
-
-    def residual(self, model: CurrentModel, state: Floats) -> Floats:
-        """Return the whitened residual (N, J)."""
-        electrical = self.electrical * np.exp(state[:, CONSTANTS, None])
-        weights = model.weights(state[:, :CONSTANTS])
-        return np.asarray(self.measured - electrical - (self.shared @ weights[..., None])[..., 0])
-
-    def linearized(self, model: CurrentModel, state: Floats) -> tuple[Floats, Floats]:
-        """Return the whitened residual (N, J) and the prediction's derivatives (N, J, STATES)."""
-        weights, slopes = model.weights_and_slopes(state[:, :CONSTANTS])
-        electrical = self.electrical * np.exp(state[:, CONSTANTS, None])
-        predicted = electrical + (self.shared @ weights[..., None])[..., 0]
-        slope = np.concatenate(
-            [self.shared @ slopes.transpose(0, 2, 1), electrical[..., None]], axis=2
-        )
-        return self.measured - predicted, slope

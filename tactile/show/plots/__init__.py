@@ -5,6 +5,7 @@
 
 from tactile.show.plots.calibration import calibration_figure as calibration_figure
 from tactile.show.plots.effect import effect_figure as effect_figure
+from tactile.show.plots.finger import finger_figure as finger_figure
 from tactile.show.plots.fit import fit_figure as fit_figure
 from tactile.show.plots.played import Played as Played
 from tactile.show.plots.played import played_figure as played_figure

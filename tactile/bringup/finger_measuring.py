@@ -31,6 +31,9 @@ REPORTED = (30.0, 100.0, 300.0, 1000.0)
 CONSTANTS = ("k0_n_per_m", "d0_n_s_per_m", "k1_n_per_m", "d1_n_s_per_m")
 """Names of the constants of a load, as `tactile adjust` names them."""
 
+IN_AIR = "in air"
+"""Note on a contactor that nothing touches."""
+
 
 @dataclass
 class TouchedContactor:
@@ -248,8 +251,8 @@ def _add_contactors(
     relative = np.sqrt(np.einsum("nii->ni", loads.covariance))
     level = shear_deviation(baseline, loads.logarithms, loads.covariance)
     fixed = _fixed_level(loads, display, baseline, rate)
-    notes = _notes(loads)
-    for k, note in enumerate(notes):
+    for k in range(len(level)):
+        note = _note(loads, k)
         one = TouchedContactor(
             k, int(display.channel[k]), int(loads.windows[k]), bool(loads.touching[k]),
             bool(loads.explained[k]), note,
@@ -267,20 +270,13 @@ def _add_contactors(
         report.contactors.append(one)
 
 
-def _notes(loads: MeasuredLoads) -> list[str]:
-    """Return why the load of each contactor is not known, or nothing."""
-    return [
-        f"only {count} windows can be used, below {LEAST_WINDOWS}"
-        if not measured
-        else "in air"
-        if explained and not touching
-        else ""
-        if explained
-        else "touched, or changed since the calibration: no load explains the current"
-        for count, measured, explained, touching in zip(
-            loads.windows.tolist(), loads.measured, loads.explained, loads.touching, strict=True
-        )
-    ]
+def _note(loads: MeasuredLoads, k: int) -> str:
+    """Return why the load of a contactor is not known, or nothing."""
+    if not loads.measured[k]:
+        return f"only {loads.windows[k]} windows can be used, below {LEAST_WINDOWS}"
+    if not loads.explained[k]:
+        return "touched, or changed since the calibration: no load explains the current"
+    return "" if loads.touching[k] else IN_AIR
 
 
 def _fixed_level(

@@ -94,7 +94,9 @@ def run(
 
 def _print(r: dict[str, Any]) -> None:
     """Print the contactors of a report, or that nothing touches them."""
-    if all(one["note"] == "in air" for one in r["contactors"]):
+    from tactile.bringup.finger_measuring import IN_AIR
+
+    if all(one["note"] == IN_AIR for one in r["contactors"]):
         print(NOTHING)
         return
     title = (

@@ -1,7 +1,9 @@
 """Playback that follows the finger: what the bus measures becomes filters of the renderer."""
 
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +12,24 @@ from tactile.arrays import Floats
 from tactile.bus.base import Bus
 from tactile.display.display import Display
 from tactile.errors import InputError
+from tactile.playback.estimates import EstimateRequest, Estimates, OwnEstimates
+from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.sum_windows import SumWindows
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.sensing.baseline_file import Calibration
 from tactile.sensing.bender import bender_of
 from tactile.sensing.load_follower import FollowedLoads, LoadFollower
+from tactile.sensing.population import load_stiffness
 
 WINDOW_MS = 25
 """Length of the windows for which the estimator's constants hold [ms]."""
+UNHEARD = 0.25
+"""Time without loads after which the filters of the mean finger play: no currents come, or nothing
+estimates them [s]."""
+STIFFNESS_AT = 100.0
+"""Frequency of the stiffness that is told of a load [Hz]."""
+MOST_CHANGES = 64
+"""Largest number of changes that wait to be taken; the oldest are dropped."""
 
 
 def default_calibration(display: str) -> Path:
@@ -66,8 +78,24 @@ class FollowingFigures:
     touched: int = 0
 
 
+@dataclass(frozen=True)
+class TouchChange:
+    """Contactors that a finger has touched, or from which it has lifted.
+
+    Attributes
+    ----------
+    kind : str
+        "touched" or "lifted".
+    contactors : tuple of int
+        Contactors in ascending order.
+    """
+
+    kind: Literal["touched", "lifted"]
+    contactors: tuple[int, ...]
+
+
 class FingerFollowing:
-    """Estimator and filters of a stroke, fed by what the bus measures.
+    """Filters of what plays, which follow what the bus measures.
 
     Parameters
     ----------
@@ -77,6 +105,8 @@ class FingerFollowing:
         Bus that drives it.
     calibration : Calibration
         What its contactors draw in air.
+    estimates : Estimates, optional
+        Where loads are estimated; by default as windows come.
 
     Raises
     ------
@@ -89,16 +119,24 @@ class FingerFollowing:
     follower : LoadFollower
         What turns shear into volts.
     loads : FollowedLoads or None
-        Latest loads; None before the first.
+        Latest loads; None before the first, and when none have come for `UNHEARD`.
+    finger : FollowedFinger or None
+        The same loads as they are told to others.
     """
 
-    def __init__(self, display: Display, bus: Bus, calibration: Calibration) -> None:
+    def __init__(
+        self,
+        display: Display,
+        bus: Bus,
+        calibration: Calibration,
+        estimates: Estimates | None = None,
+    ) -> None:
         if not bus.correlates:
             raise InputError(
                 "finger follow: the device measures no currents; play with the fixed finger of the "
                 "display, or use an amplifier with the feature CORRELATES"
             )
-        rate = bus.wiring.sample_rate
+        self._rate = rate = bus.wiring.sample_rate
         bender = bender_of(display.bimorph, display.amplifier, rate)
         calibration.check_display(bender, len(display.contactors), rate)
         calibration.check_faults()
@@ -108,11 +146,33 @@ class FingerFollowing:
             sample_rate=rate,
             noise=float(np.median(calibration.measured.noise)),
         )
+        self._estimates = estimates or OwnEstimates()
+        self._estimates.begin(self.follower)
         self.loads: FollowedLoads | None = None
-        self._windows = SumWindows(display, bus)
+        self.finger: FollowedFinger | None = None
+        self._bus, self._windows = bus, SumWindows(display, bus)
         self._figures = FollowingFigures()
         self._deviations = 0, 0.0
         """Number of windows with a finger, and the sum of their median deviations [dB]."""
+        self._unexplained = 0
+        self._changes: deque[TouchChange] = deque(maxlen=MOST_CHANGES)
+        self._generation = self._delay = self._heard = 0
+        """Number of times that all was forgotten; time from the latest request to its answer, and
+        position at which loads came last [samples]."""
+        self._reconnects = bus.counters.reconnects
+
+    def restart(self) -> None:
+        """Forget the finger and all that was measured, before the bus begins another stream."""
+        self._bus.take_correlations()
+        self._windows.restart()
+        self._heard = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget the finger; the filters of the mean one fade in."""
+        self._generation += 1
+        self.loads = self.finger = None
+        self.follower.play_mean(round(WINDOW_MS * 1e-3 * self._rate))
 
     def wrote(self, position: int, drive: Floats) -> None:
         """Note drive that was written, and follow what has been measured by now.
@@ -125,26 +185,80 @@ class FingerFollowing:
             Drive of each contactor [V].
         """
         self._windows.wrote(position, drive)
-        end = position + len(drive) + LOOK_AHEAD
+        end = position + len(drive)
+        if self._bus.counters.reconnects != self._reconnects:
+            self._reconnects = self._bus.counters.reconnects
+            self._forget()
         for played in self._windows.take():
-            loads = self.follower.take(played.window, lateness=end - played.end)
-            self._count(loads, played.window.valid)
-            self.loads = loads
+            self._figures.dropped_windows += not played.window.valid.any()
+            lateness = end + LOOK_AHEAD + self._delay - played.end
+            self._estimates.ask(EstimateRequest(self._generation, end, played.window, lateness))
+            self._follow(end)
+        self._follow(end)
+        if self.loads is not None and end - self._heard > UNHEARD * self._rate:
+            self._forget()
 
-    def _count(self, loads: FollowedLoads, valid: NDArray[np.bool_]) -> None:
-        """Count a window in."""
+    def _follow(self, end: int) -> None:
+        """Begin to play the filters that have been computed by now."""
+        for answer in self._estimates.take():
+            if answer.generation == self._generation:
+                self._delay, self._heard = end - answer.asked, end
+                self.follower.apply(answer.update)
+                self._count(answer.update.loads)
+                self.loads = answer.update.loads
+                self.finger = _told(self.loads)
+
+    def _count(self, loads: FollowedLoads) -> None:
+        """Count the loads of a window in."""
         figures = self._figures
         if self.loads is not None:
-            figures.lifted += int(np.sum(self.loads.touching & ~loads.touching))
-            figures.touched += int(np.sum(~self.loads.touching & loads.touching))
+            before = self.loads.touching
+            figures.lifted += self._note("lifted", before & ~loads.touching)
+            figures.touched += self._note("touched", ~before & loads.touching)
         figures.windows += 1
-        figures.dropped_windows += not valid.any()
         figures.touched_share += float(np.mean(loads.touching))
         figures.unexplained_share += float(np.mean(~loads.explained))
+        self._unexplained += int(np.sum(~loads.explained))
         if loads.touching.any():
             count, total = self._deviations
             median = float(np.median(loads.deviation[loads.touching]))
             self._deviations = count + 1, total + median
+
+    def _note(self, kind: Literal["touched", "lifted"], changed: NDArray[np.bool_]) -> int:
+        """Note contactors whose touch has changed; return their number."""
+        contactors = tuple(np.flatnonzero(changed).tolist())
+        if contactors:
+            self._changes.append(TouchChange(kind, contactors))
+        return len(contactors)
+
+    def take_changes(self) -> list[TouchChange]:
+        """Remove and return the changes that nobody has taken.
+
+        Returns
+        -------
+        list of TouchChange
+            Changes in order.
+        """
+        taken = list(self._changes)
+        self._changes.clear()
+        return taken
+
+    @property
+    def failure(self) -> str:
+        """Reason why loads are not estimated any more; empty if they are."""
+        return self._estimates.failure
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Counters by name: windows, those that could not be used, and what they told."""
+        figures = self.figures
+        return {
+            "finger_windows": figures.windows,
+            "dropped_finger_windows": figures.dropped_windows,
+            "touched_contactors": figures.touched,
+            "lifted_contactors": figures.lifted,
+            "unexplained_loads": self._unexplained,
+        }
 
     @property
     def figures(self) -> FollowingFigures:
@@ -153,10 +267,24 @@ class FingerFollowing:
         touched, deviations = self._deviations
         return FollowingFigures(
             windows=done.windows,
-            dropped_windows=done.dropped_windows + self._windows.dropped,
+            dropped_windows=(
+                done.dropped_windows + self._windows.dropped + self._estimates.dropped
+            ),
             touched_share=done.touched_share / count,
             deviation_db=deviations / touched if touched else None,
             unexplained_share=done.unexplained_share / count,
             lifted=done.lifted,
             touched=done.touched,
         )
+
+
+def _told(loads: FollowedLoads) -> FollowedFinger:
+    """Return loads as they are told to others."""
+    stiffness = np.abs(load_stiffness(loads.logarithms, np.array([STIFFNESS_AT])))[:, 0]
+    touching = loads.touching
+    return FollowedFinger(
+        touching,
+        np.where(touching, stiffness, 0.0),
+        np.where(touching, loads.deviation, 0.0),
+        loads.explained,
+    )

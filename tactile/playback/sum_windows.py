@@ -19,6 +19,8 @@ from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
 
 KEPT = 0.5
 """Time for which the drive is kept; a window that comes later is dropped [s]."""
+GATHERED = 25e-3
+"""Time after which drive is added to the array of what is kept, since that is copied then [s]."""
 HISTORY = EARLIER + AFTER + 1
 """Number of samples of drive before a window that are needed."""
 DOUBTED = 0.25
@@ -59,7 +61,7 @@ class _Parts:
     sums: Floats
     rounding: Floats
     clipped: NDArray[np.bool_]
-    missing: set[int]
+    missing: NDArray[np.bool_]
 
 
 class SumWindows:
@@ -87,6 +89,10 @@ class SumWindows:
         """Drive up to the latest position."""
         self._end = 0
         """Position after the latest sample of the drive."""
+        self._written: list[Floats] = []
+        """Latest drive, which is added to the rest when there is a whole `GATHERED` of it."""
+        self._gathered = 0
+        """Position after the latest sample that was added to the rest."""
         self._parts: dict[int, _Parts] = {}
         self._ready: deque[tuple[int, _Parts]] = deque()
         self._disturbed, self._doubted_until = self._disturbances(), -1
@@ -98,15 +104,38 @@ class SumWindows:
         Parameters
         ----------
         position : int
-            Position of the first sample, which follows the last one.
+            Position of the first sample. If others are missing before it, the windows of what
+            played before are dropped, and those after it are doubted for a while.
         drive : (S, N) array of float
             Drive of each contactor [V].
         """
         if self._begin is None:
-            self._begin = self._end = position
-        kept = HISTORY + round(KEPT * self._rate)
-        self._drive = np.concatenate([self._drive, drive])[-kept:]
+            self._begin = self._end = self._gathered = position
+        elif position != self._end:
+            self.restart()
+            self._begin = position + HISTORY
+            self._end = self._gathered = position
+            self._doubted_until = position + round(DOUBTED * self._rate)
+        self._written.append(drive)
         self._end = position + len(drive)
+        if self._end - self._gathered >= GATHERED * self._rate:
+            self._gather()
+
+    def restart(self) -> None:
+        """Begin with another stream, before which the drive is 0 V."""
+        self.dropped += len(self._parts) + len(self._ready)
+        self._begin, self._drive = None, np.zeros((HISTORY, len(self._display.contactors)))
+        self._written.clear()
+        self._parts.clear()
+        self._ready.clear()
+        self._disturbed, self._doubted_until = self._disturbances(), -1
+
+    def _gather(self) -> None:
+        """Add the latest drive to the rest, of which the oldest is dropped."""
+        kept = HISTORY + round(KEPT * self._rate)
+        self._drive = np.concatenate([self._drive, *self._written])[-kept:]
+        self._gathered = self._end
+        self._written.clear()
 
     def take(self) -> list[PlayedWindow]:
         """Return the windows that are complete.
@@ -146,23 +175,20 @@ class SumWindows:
         if parts is None:
             parts = _Parts(
                 part.samples, part.current_range, np.zeros((count, LAGS)), np.zeros(count),
-                np.zeros(count, np.bool_), set(range(count)),
+                np.zeros(count, np.bool_), np.ones(count, np.bool_),
             )  # fmt: skip
             self._parts[part.position] = parts
-        for contactor, channel in enumerate(self._display.channel.tolist()):
-            row = channel - part.first_channel
-            if 0 <= row < len(part.sums):
-                parts.sums[contactor], parts.rounding[contactor] = (
-                    part.sums[row],
-                    part.rounding[row],
-                )
-                parts.clipped[contactor] = part.clipped[row]
-                parts.missing.discard(contactor)
-        if not parts.missing:
+        row = self._display.channel - part.first_channel
+        has = (row >= 0) & (row < len(part.sums))
+        parts.sums[has], parts.rounding[has] = part.sums[row[has]], part.rounding[row[has]]
+        parts.clipped[has] = part.clipped[row[has]]
+        parts.missing &= ~has
+        if not parts.missing.any():
             self._ready.append((part.position, self._parts.pop(part.position)))
 
     def _steps(self, position: int, samples: int) -> Floats | None:
         """Return the steps of the drive around a window; None if they are not known any more."""
+        self._gather()
         begin = len(self._drive) - (self._end - position) - HISTORY
         if begin < 0:
             return None

@@ -51,6 +51,25 @@ class FollowedLoads:
     explained: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class FilterUpdate:
+    """Loads after a window, and the filters for them.
+
+    Attributes
+    ----------
+    loads : FollowedLoads
+        Loads in the middle of the window.
+    taps : (N, T) array of float
+        Filter of each contactor for the time at which it is to play [V/m].
+    samples : int
+        Length of the cross-fade to them [samples].
+    """
+
+    loads: FollowedLoads
+    taps: Floats
+    samples: int
+
+
 class LoadFollower:
     """Runs a filter for each contactor over a stream, and replaces the filters as loads change.
 
@@ -102,7 +121,52 @@ class LoadFollower:
     def take(self, window: SumWindow, *, lateness: float) -> FollowedLoads:
         """Estimate the loads in a window, and begin to cross-fade to filters for them.
 
-        The cross-fade takes as long as the window.
+        Parameters
+        ----------
+        window : SumWindow
+            Sums and drive of all contactors.
+        lateness : float
+            As in `estimate`.
+
+        Returns
+        -------
+        FollowedLoads
+            Loads in the middle of the window.
+        """
+        update = self.estimate(window, lateness=lateness)
+        self.apply(update)
+        return update.loads
+
+    def apply(self, update: FilterUpdate) -> None:
+        """Begin to cross-fade to filters.
+
+        Parameters
+        ----------
+        update : FilterUpdate
+            Filters, of this follower or of another one for the same contactors.
+        """
+        self._equalizer.replace(update.taps, update.samples)
+
+    def play_mean(self, samples: int) -> None:
+        """Begin to cross-fade to the filters of the mean finger, because nothing is known.
+
+        Parameters
+        ----------
+        samples : int
+            Length of the cross-fade [samples].
+        """
+        every = np.ones(len(self._mean), np.bool_)
+        self._equalizer.replace(self._taps(self._mean, every), samples)
+
+    def forget(self) -> None:
+        """Forget all fingers; what is known of the capacitances is kept."""
+        self._estimator.restart(np.ones(len(self._mean), np.bool_))
+        self._unexplained[:] = 0
+
+    def estimate(self, window: SumWindow, *, lateness: float) -> FilterUpdate:
+        """Estimate the loads in a window, and compute the filters for them; nothing plays yet.
+
+        The cross-fade is to take as long as the window.
 
         Parameters
         ----------
@@ -114,8 +178,8 @@ class LoadFollower:
 
         Returns
         -------
-        FollowedLoads
-            Loads in the middle of the window.
+        FilterUpdate
+            Loads, and their filters.
         """
         estimate = self._estimator.update(window)
         judged = np.isfinite(estimate.inconsistency)
@@ -125,9 +189,9 @@ class LoadFollower:
         # from the middle of the window to its end, until the fade begins, and until it has ended
         ahead = self._estimator.ahead(0.5 + lateness / window.samples + 1)
         used = np.where(explained[:, None], ahead, self._mean)
-        self._equalizer.replace(self._taps(used, estimate.touching), window.samples)
         deviation = shear_deviation(self._baseline, estimate.logarithms, estimate.covariance)
-        return FollowedLoads(estimate.touching, estimate.logarithms, deviation, explained)
+        loads = FollowedLoads(estimate.touching, estimate.logarithms, deviation, explained)
+        return FilterUpdate(loads, self._taps(used, estimate.touching), window.samples)
 
     def _taps(self, logarithms: Floats, touching: NDArray[np.bool_]) -> Floats:
         """Return the filters (N, T) for loads."""

@@ -445,6 +445,21 @@ def test_status() -> None:
     assert "limited 17" in narrow[-1]
 
 
+def test_a_finger_that_is_followed_is_told_beside_the_values() -> None:
+    """Deviations are the median of the contactors that a finger touches."""
+    picture = shown(SMALL, limited=17)
+    count = len(SMALL.contactors)
+    touching, deviation = np.arange(count) < 2, np.full(count, 9.0)
+    deviation[:2] = 0.4, 0.6
+    picture.follow(touching, deviation)
+    for width in (80, 140):
+        assert (
+            f"limited 17  finger on 2 of {count} ± 0.5 dB" in text(drawn(picture, width=width))[-1]
+        )
+    picture.follow(np.zeros(count, np.bool_), deviation)
+    assert text(drawn(picture))[-1].rstrip().endswith(f"finger on 0 of {count}")
+
+
 def test_empty_blocks_and_what_is_not_finite_are_endured() -> None:
     picture = shown(SMALL, shear_um=np.full(24, 2.0), drive=np.full(24, 50.0))
     picture.update(13.0, (0, 0), 0, 0, np.zeros((0, 24)), np.zeros((0, 24)), 0)

@@ -313,6 +313,8 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
             float(block.time[-1]), block.position[-1], block.speed, float(block.normal_force[-1]),
             block.shear, block.drive, renderer.limiter.limited_samples,
         )  # fmt: skip
+        if block.loads is not None:
+            picture.follow(block.loads.touching, block.loads.deviation)
 
     return Live(picture, refresh_per_second=15, transient=True), watch
 

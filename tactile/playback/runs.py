@@ -248,7 +248,8 @@ class _Run:
             self.account(block)
             self._write(block)
             if watch is not None:
-                watch(block, renderer)
+                loads = None if following is None else following.loads
+                watch(replace(block, loads=loads), renderer)
 
         def stroke() -> BusStatus:
             return play(

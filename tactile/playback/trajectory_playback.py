@@ -18,6 +18,7 @@ from tactile.errors import BusError
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
+from tactile.sensing.load_follower import FollowedLoads
 
 BLOCK = 64
 """Largest length of a block [samples]."""
@@ -41,6 +42,8 @@ class PlayedBlock:
         Commanded shear [m].
     speed : float
         Speed of the finger at the end of the block [m/s].
+    loads : FollowedLoads or None
+        Latest loads of a finger that is followed; None if they are not known.
     """
 
     time: Floats
@@ -49,6 +52,7 @@ class PlayedBlock:
     drive: Floats
     shear: Floats
     speed: float
+    loads: FollowedLoads | None = None
 
 
 def play(

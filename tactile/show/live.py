@@ -406,6 +406,8 @@ class LivePicture:
         Shear of that contactor in the last second [µm].
     state : _State
         Content of the last update.
+    finger : str
+        What is known of a finger that is followed; empty if none is.
     """
 
     def __init__(
@@ -420,7 +422,22 @@ class LivePicture:
         self.trace = TraceBins()
         nothing = np.zeros(len(self.places))
         self.state = _State(0.0, (0.0, 0.0), 0.0, 0.0, nothing, nothing, 0, nothing)
+        self.finger = ""
         self._rasters: dict[tuple[int, int, bool], Raster] = {}
+
+    def follow(self, touching: NDArray[np.bool_], deviation: Floats) -> None:
+        """Show what is known of a finger that is followed.
+
+        Parameters
+        ----------
+        touching : (N,) array of bool
+            Whether a finger is on the contactor.
+        deviation : (N,) array of float
+            Standard deviation of the level of its shear [dB].
+        """
+        self.finger = f"on {np.count_nonzero(touching)} of {len(touching)}"
+        if touching.any():
+            self.finger += f" ± {np.median(deviation[touching]):.1f} dB"
 
     def update(
         self,
@@ -622,9 +639,12 @@ class Frame:
             ("drive", f"{drive:5.1f} of {limit:g} V", VALUE if drive < limit else ALARM),
             ("limited", f"{s.limited_samples:d}", ALARM if s.limited_samples else VALUE),
         ]
+        if self._picture.finger:
+            fields.append(("finger", self._picture.finger, VALUE))
         pairs = [
             [Segment(f" {name} " if name else "", LABEL), Segment(f"{value} ", style)]
             for name, value, style in fields
         ]
-        lines = [pairs] if width >= ONE_LINE else [pairs[:3], pairs[3:]]
+        fits = width >= ONE_LINE and not self._picture.finger
+        lines = [pairs] if fits else [pairs[:3], pairs[3:]]
         return [list(itertools.chain(*line)) for line in lines]

@@ -536,6 +536,8 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
         Number of the e-stop that holds, 0 if none does.
     latest_estop : int
         Number of the latest e-stop, cleared or not; 0 if there has been none.
+    follows : bool
+        Whether playback follows the finger, so that `TelemetryMessage` has the loads that it finds.
     """
 
     name: str
@@ -547,6 +549,7 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
     latency_ms: float
     estop: int = 0
     latest_estop: int = 0
+    follows: bool = False
 
 
 class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
@@ -764,7 +767,9 @@ class EventMessage(ApiMessage, frozen=True, kw_only=True, tag="event"):
     Kinds are "armed", "disarmed", "estopped", "cleared" (an e-stop was cleared), "fault",
     "underrun", "link" (the link went up or down), "silent" (this client gave no sign of life and
     its waveforms were faded), "lost" (playback died and is being restarted) and "textures" (the
-    textures were read again). Other kinds may be added.
+    textures were read again). Of displays that follow the finger, clients
+    that have subscribed to the telemetry also get "touched" and "lifted" (a finger is on contactors
+    now, or not any more). Other kinds may be added.
 
     Attributes
     ----------
@@ -776,12 +781,38 @@ class EventMessage(ApiMessage, frozen=True, kw_only=True, tag="event"):
         Explanation in one line.
     estop : int
         Number of the e-stop that an "estopped" or "cleared" event is about, otherwise 0.
+    contactors : list of int
+        Contactors that a "touched" or "lifted" event is about, in ascending order.
     """
 
     display: str
     kind: str
     detail: str = ""
     estop: int = 0
+    contactors: tuple[int, ...] = ()
+
+
+class TelemetryFinger(Struct, frozen=True, kw_only=True):
+    """Loads of a finger on the contactors, as playback finds them from their currents.
+
+    Attributes
+    ----------
+    touching : list of bool
+        Whether a finger is on each contactor.
+    stiffness_n_m : list of float
+        Magnitude of the dynamic stiffness of the load on each contactor at 100 Hz; 0 in air [N/m].
+    equalizer_error_db : list of float
+        Standard deviation of the level of each contactor's shear that follows from the uncertainty
+        of its load; 0 in air [dB].
+    explained : list of bool
+        Whether a load explains the current of each contactor. Where none does, filters for a mean
+        finger play.
+    """
+
+    touching: tuple[bool, ...]
+    stiffness_n_m: tuple[float, ...]
+    equalizer_error_db: tuple[float, ...]
+    explained: tuple[bool, ...]
 
 
 class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
@@ -810,6 +841,8 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
         Counters as in `StatsReply`.
     put_out_share : float or null
         Share that was put out, as in `StatsReply`.
+    finger : TelemetryFinger or null
+        Loads of the finger on a display that follows it; null where they are not known.
     """
 
     display: str
@@ -822,6 +855,7 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     drive_v: tuple[float, ...]
     counters: dict[str, int]
     put_out_share: float | None = None
+    finger: TelemetryFinger | None = None
 
 
 Command = (

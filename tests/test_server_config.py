@@ -22,6 +22,7 @@ from tactile.server import logs, watchdog
 from tactile.server.config import (
     Configuration,
     DisplayConfig,
+    FingerConfig,
     LogConfig,
     ServerConfig,
     is_loopback,
@@ -66,6 +67,7 @@ def test_paths_are_relative_to_the_file_and_shipped_names_stay(tmp_path: Path) -
         write(
             tmp_path,
             '[server]\ntoken_file = "secret"\neffects = "fx"\n[log]\nfile = "a.log"\n'
+            '[finger]\ncalibration = "mine.npz"\n'
             '[[display]]\nname = "a"\ndisplay = "mine.toml"\n'
             '[[display]]\nname = "b"\ndisplay = "reference-64"\n',
         )
@@ -73,6 +75,7 @@ def test_paths_are_relative_to_the_file_and_shipped_names_stay(tmp_path: Path) -
     assert config.server.token_file == str(tmp_path / "secret")
     assert config.server.effects == str(tmp_path / "fx")
     assert config.log.file == str(tmp_path / "a.log")
+    assert config.finger == FingerConfig(calibration=str(tmp_path / "mine.npz"))
     assert [d.display for d in config.display] == [str(tmp_path / "mine.toml"), "reference-64"]
     assert config.path == tmp_path / "tactile.toml"
 
@@ -105,6 +108,14 @@ BAD = {
     "[[display]]\nvoltage_limit_v = nan": "display[0].voltage_limit_v = nan: must be a finite",
     "[[display]]\narm_on_strat = true": "arm_on_strat: unknown key; did you mean 'arm_on_start'?",
     'path = "x"': "path: unknown key",
+    "[finger]\nfolow = true": "finger.folow: unknown key; did you mean 'follow'?",
+    '[finger]\ncalibration = ""': "finger.calibration = '': expected str of length >= 1",
+    '[finger]\nfollow = true\n[record]\nfolder = "a"': "leave out record.folder",
+    '[finger]\nfollow = true\n[[display]]\nname = "a"\n[[display]]\nname = "b"': (
+        "finger.follow = true: each display needs a calibration of its own"
+    ),
+    '[finger]\nfollow = true\ncalibration = "a.npz"\n[[display]]\nname = "a"\n[[display]]\n'
+    'name = "b"\ndisplay = "reference-64"': "and leave out finger.calibration",
 }
 
 

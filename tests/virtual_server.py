@@ -55,6 +55,7 @@ from tactile.files import SourceFile
 from tactile.playback import commands
 from tactile.playback import process as playback_process
 from tactile.playback.commands import DeviceOpened, PlaybackSetup
+from tactile.playback.estimates import OwnEstimates
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.mixer import BlockInput, Mixer
 from tactile.playback.process import Program
@@ -67,6 +68,7 @@ from tactile.server import host, preparing
 from tactile.server.config import Configuration
 from tactile.server.host import Host
 from tactile.server.server import running
+from tactile.sim import SimulatedDisplay
 
 T = TypeVar("T")
 OPENING, PREPARING = 20e-3, 30e-3
@@ -168,6 +170,7 @@ class PlaybackProcess(Process):
         self.clock.sleep(OPENING)
         try:
             bus, how = playback_process.open_device(setup)
+            following = playback_process.follow(setup, bus, OwnEstimates)
         except TactileError as error:
             self.answer(DeviceOpened(why_not=str(error)))
             self.clock.sleep(PIPE)
@@ -175,6 +178,8 @@ class PlaybackProcess(Process):
             return
         assert isinstance(bus, MockBus | ModeledBus | ChipBus)
         self.bus, self.device = bus, setup.device
+        if isinstance(bus, SimulatedDisplay):
+            bus._clock = self.clock
         if isinstance(bus, ChipBus):
             assert isinstance(bus.pump.runner, ChipThread)
             self.threads += (bus.pump.runner.thread,)
@@ -189,11 +194,11 @@ class PlaybackProcess(Process):
             self._ring = SessionRing(f"fd:{os.dup(file)}")
         player = PlaybackLoop(
             setup.display, bus, self._memory,
-            gain=setup.gain, worn=setup.worn, clock=clock, session=self._ring,
+            gain=setup.gain, worn=setup.worn, clock=clock, session=self._ring, following=following,
         )  # fmt: skip
         self.program = Program(player, self._latch, self.answer)
         self.world.by_bus[id(bus)] = self
-        self.answer(how)
+        self.answer(replace(how, follows=following is not None))
         self._start(self.program.watch)
         self.program.run()
         self.kill()

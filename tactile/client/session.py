@@ -442,7 +442,11 @@ class ClientSession:
             case EventMessage():
                 if answer.kind in DISARMED_BY:
                     self._desired_state(answer.display).disarm()
-                self.notify(wire.Event(answer.kind, answer.display, answer.detail, answer.estop))
+                self.notify(
+                    wire.Event(
+                        answer.kind, answer.display, answer.detail, answer.estop, answer.contactors
+                    )
+                )
             case _:
                 self._answered(answer)
 

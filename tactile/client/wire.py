@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from tactile import messages
 from tactile.errors import InputError, locate_mistake, show_field
 from tactile.messages import (
     MOST_LAYERS,
@@ -30,7 +31,7 @@ from tactile.messages import (
 )
 
 M = TypeVar("M", bound=ApiMessage)
-S = TypeVar("S", bound="DisplayInfo | Appended | Stats | Telemetry")
+S = TypeVar("S", bound="DisplayInfo | Appended | Stats | Telemetry | FingerState")
 
 Layers = str | Layer | tuple[str, float] | Sequence[str | Layer | tuple[str, float]]
 """One texture or several, each with its gain if it is a pair; ``()`` for none."""
@@ -62,6 +63,8 @@ class DisplayInfo:
         Whether the link has room for `play`, `append` and `effect`.
     latency : float
         Approximate time from a contact to the skin [s].
+    follows : bool
+        Whether playback follows the finger, so that telemetry has the loads that it finds.
     """
 
     name: str
@@ -71,6 +74,7 @@ class DisplayInfo:
     voltage_limit: float
     waveforms: bool
     latency: float
+    follows: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +135,30 @@ class Stats:
 
 
 @dataclass(frozen=True, slots=True)
+class FingerState:
+    """Loads of a finger on the contactors, as playback finds them from their currents.
+
+    Attributes
+    ----------
+    touching : (N,) tuple of bool
+        Whether a finger is on each contactor.
+    stiffness : (N,) tuple of float
+        Magnitude of the dynamic stiffness of each load at 100 Hz; 0 in air [N/m].
+    equalizer_error_db : (N,) tuple of float
+        Standard deviation of the level of each contactor's shear that follows from the uncertainty
+        of its load; 0 in air [dB].
+    explained : (N,) tuple of bool
+        Whether a load explains the current of each contactor. Where none does, filters for a mean
+        finger play.
+    """
+
+    touching: tuple[bool, ...]
+    stiffness: tuple[float, ...]
+    equalizer_error_db: tuple[float, ...]
+    explained: tuple[bool, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Telemetry:
     """State of a display and its finger at a time.
 
@@ -157,6 +185,8 @@ class Telemetry:
         Counts as in `Stats`.
     put_out_share : float or None
         Share that was put out, as in `Stats`.
+    finger : FingerState or None
+        Loads of the finger on a display that follows it; None where they are not known.
     """
 
     display: str
@@ -169,6 +199,7 @@ class Telemetry:
     drive: tuple[float, ...]
     counters: dict[str, int]
     put_out_share: float | None = None
+    finger: FingerState | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,12 +217,15 @@ class Event:
         Description in one line.
     estop : int
         Number of the e-stop, of "estopped".
+    contactors : tuple of int
+        Contactors of "touched" and "lifted".
     """
 
     kind: str
     display: str = ""
     detail: str = ""
     estop: int = 0
+    contactors: tuple[int, ...] = ()
 
 
 def checked(message: M) -> M:
@@ -517,6 +551,7 @@ def _to_rows(rows: Any, what: str, names: str) -> Iterator[list[float]]:
 
 UNITS = {
     "_mm_s": 1e-3,
+    "_n_m": 1.0,
     "_mm": 1e-3,
     "_um": 1e-6,
     "_ms": 1e-3,
@@ -565,5 +600,7 @@ def from_message(kind: type[S], message: msgspec.Struct) -> S:
     for name in (field.name for field in dataclasses.fields(kind)):
         field, unit = units[name]
         value = getattr(message, field)
+        if isinstance(value, messages.TelemetryFinger):
+            value = from_message(FingerState, value)
         values[name] = value if unit is None or value is None else _scaled(value, unit)
     return kind(**values)

@@ -10,6 +10,7 @@ import numpy as np
 from tactile.arrays import Floats, Singles
 from tactile.bus.base import DriveBlock, DriveFrame, FrameCapability
 from tactile.display.display import Display
+from tactile.rendering.equalizer import EqualizerLike
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Renderer
@@ -29,6 +30,8 @@ class SamplePlayback:
         Display to render for.
     sample_rate : float
         Sample rate of the drive [Hz].
+    inverse : EqualizerLike, optional
+        What turns shear into volts, as in `Renderer`.
 
     Attributes
     ----------
@@ -48,9 +51,11 @@ class SamplePlayback:
     spacing = BLOCK
     first = LOOK_AHEAD
 
-    def __init__(self, display: Display, sample_rate: float) -> None:
+    def __init__(
+        self, display: Display, sample_rate: float, inverse: EqualizerLike | None = None
+    ) -> None:
         self._display, self._rate = display, sample_rate
-        self._renderer = Renderer(display, None, sample_rate=sample_rate)
+        self._renderer = Renderer(display, None, sample_rate=sample_rate, inverse=inverse)
         self.timed = self._renderer.delay
         self.shear = self.drive = np.zeros(len(display.contactors))
 

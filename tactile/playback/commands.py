@@ -47,6 +47,9 @@ class PlaybackSetup:
         Handle of the display's e-stop latch.
     session : str
         Handle of the ring for a recorder of the session; empty without one.
+    calibration : str
+        File with what the display's contactors draw in air, if playback is to follow the finger;
+        empty if not.
     """
 
     display: Display
@@ -59,6 +62,7 @@ class PlaybackSetup:
     memory: str
     latch: str
     session: str = ""
+    calibration: str = ""
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,8 @@ class DeviceOpened:
         Real-time privileges that the system refused.
     why_not : str
         Reason why the device could not be opened; empty if it was.
+    follows : bool
+        Whether playback follows the finger.
     """
 
     sample_rate: float = 0.0
@@ -87,6 +93,7 @@ class DeviceOpened:
     ahead: float = 0.0
     real_time: tuple[str, ...] = ()
     why_not: str = ""
+    follows: bool = False
 
 
 @dataclass(frozen=True)
@@ -235,10 +242,13 @@ class News:
         Kind of an `EventMessage`.
     detail : str
         One line about it.
+    contactors : tuple of int
+        Contactors that it is about; empty if it is about the display.
     """
 
     kind: str
     detail: str
+    contactors: tuple[int, ...] = ()
 
 
 Order = (

@@ -15,6 +15,7 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback.block_rendering import FramePlayback
+from tactile.playback.finger_following import FingerFollowing
 from tactile.playback.mixer import BlockInput, Mixer, MixerOrder
 from tactile.playback.outcome import share_put_out
 from tactile.playback.session_ring import DUE_PLACES, SessionRing
@@ -76,6 +77,8 @@ class PlaybackLoop(Mixer):
         Clock of the host, in which blocks are due.
     session : SessionRing or None
         Ring that receives all that is rendered from; None without a recorder.
+    following : FingerFollowing or None
+        What follows the finger, on a bus that takes samples; None for the display's own finger.
 
     Attributes
     ----------
@@ -89,6 +92,8 @@ class PlaybackLoop(Mixer):
         Position of the next block [samples].
     report : PlaybackReport
         Report to the server.
+    following : FingerFollowing or None
+        What follows the finger.
     """
 
     def __init__(
@@ -101,10 +106,12 @@ class PlaybackLoop(Mixer):
         worn: bool = False,
         clock: Clock = MONOTONIC,
         session: SessionRing | None = None,
+        following: FingerFollowing | None = None,
     ) -> None:
         rate = bus.wiring.sample_rate
-        super().__init__(display, rate, bus.frames, gain=gain, worn=worn)
-        self.bus, self.memory, self.clock = bus, memory, clock
+        inverse = None if following is None else following.follower
+        super().__init__(display, rate, bus.frames, gain=gain, worn=worn, inverse=inverse)
+        self.bus, self.memory, self.clock, self.following = bus, memory, clock, following
         self._session = session
         self.report = PlaybackReport(sample_rate=rate)
         self.position = self._skipped = 0
@@ -122,6 +129,8 @@ class PlaybackLoop(Mixer):
         self.bus.stop()
         if isinstance(self.rendering, FramePlayback):
             self.bus.tune(self.rendering.carriers)
+        if self.following is not None:
+            self.following.restart()
         self.silence()
         if self._session is not None:
             self._session.add_silence()
@@ -191,6 +200,7 @@ class PlaybackLoop(Mixer):
         try:
             if isinstance(drive, DriveBlock):
                 self.bus.write(drive)
+                self._follow(drive)
             else:
                 self.bus.write_frame(drive)
         except BusStateError:
@@ -201,6 +211,11 @@ class PlaybackLoop(Mixer):
             if self._session is not None:
                 self._session.add_block(block, drive)
         self._report_block(block)
+
+    def _follow(self, drive: DriveBlock) -> None:
+        """Let the filters follow what has been measured by now, after a block was written."""
+        if self.following is not None:
+            self.following.wrote(drive.position, drive.volts[:, self.display.channel])
 
     def _catch_up(self, now: float) -> bool:
         """Continue with the block that is due now, if the loop was delayed; return whether."""
@@ -249,9 +264,13 @@ class PlaybackLoop(Mixer):
         r.touching, r.client = self.tracker.touching, self._client
         r.put_out_share = share_put_out(self.position, self._unplayed - self._unplayed_before)
         r.velocity = float(self.tracker.velocity[0]), float(self.tracker.velocity[1])
+        following = self.following
+        r.finger = following.finger if following is not None and self.running else None
+        followed = {} if following is None else following.counters
         r.counters = vars(
             PlaybackCounters(
                 **self.bus.counters.common(),
+                **followed,
                 limited_samples=self.rendering.limited,
                 lost_contacts=self.memory.lost_contacts,
                 skipped_samples=self._skipped,

@@ -2,7 +2,8 @@
 
 A `Mixer` reads no clock and knows no bus. All that depends on time or chance reaches it as orders
 of the server, as the command to be silent before playing begins, and as the `BlockInput` of each
-block. Who passes the same to another mixer gets the same drive, bit for bit.
+block. Who passes the same to another mixer gets the same drive, bit for bit, unless the filters
+follow the finger (`finger_following`).
 
 The content of a block follows the mixing rule of `tactile.messages`: the textures of the client to
 which the finger belongs, and the waves of all clients.
@@ -19,6 +20,7 @@ from tactile.playback import commands
 from tactile.playback.block_rendering import BLOCK, FramePlayback, SamplePlayback
 from tactile.playback.voice import ClientState, Voice
 from tactile.playback.waves import TURN, affordable
+from tactile.rendering.equalizer import EqualizerLike
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.renderer import Ramp
 from tactile.rendering.spectrum import SpectrumRenderer
@@ -78,6 +80,8 @@ class Mixer:
         Gain of the display, on top of that of each client.
     worn : bool
         Whether the finger stays on the display although it touches nothing.
+    inverse : EqualizerLike, optional
+        What turns shear into volts on a link that takes samples, as in `Renderer`.
 
     Attributes
     ----------
@@ -107,12 +111,13 @@ class Mixer:
         *,
         gain: float,
         worn: bool,
+        inverse: EqualizerLike | None = None,
     ) -> None:
         self.display, self.gain, self.worn = display, gain, worn
         self.textures: dict[int, RealizedLayer | SpectrumRenderer] = {}
         self.voices: dict[int, Voice] = {}
         self.rendering: SamplePlayback | FramePlayback = (
-            SamplePlayback(display, sample_rate)
+            SamplePlayback(display, sample_rate, inverse)
             if frames is None
             else FramePlayback(display, sample_rate, frames)
         )

@@ -18,6 +18,8 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 from typing import BinaryIO
 
 from tactile.bus.base import Bus
@@ -29,11 +31,14 @@ from tactile.estop.latch import Latch, LatchWriter
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback import priority
 from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, PlaybackSetup
+from tactile.playback.estimates import Estimates, ProcessEstimates
+from tactile.playback.finger_following import WINDOW_MS, FingerFollowing
 from tactile.playback.loop import PlaybackLoop, state_of
 from tactile.playback.session_ring import SessionRing
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.silence import SilenceTimer
 from tactile.processes import pipes_of_parent, received, send
+from tactile.sensing.baseline_file import load_calibration
 
 IDLE = 20e-3
 """Interval between looks at the orders while nothing plays [s]."""
@@ -78,6 +83,7 @@ class Program:
         self._server_silent = self._ended = False
         self._sent_status = "", "disarmed", "up"
         self._underruns = 0
+        self._failure = ""
 
     def run(self) -> None:
         """Play until `end`, then close the bus."""
@@ -124,6 +130,7 @@ class Program:
             self._send(News("disarmed", f"the server was silent for {SILENCE:g} s"))
         if player.running:
             player.step()
+            self._send_touches()
             if player.report.blocks % 16 == 0:
                 self._send_changes()
         else:
@@ -235,6 +242,13 @@ class Program:
 
     # News
 
+    def _send_touches(self) -> None:
+        """Send news of contactors that were touched, or lost their finger."""
+        following = self._player.following
+        if following is not None:
+            for change in following.take_changes():
+                self._send(News(change.kind, "", change.contactors))
+
     def _send_changes(self) -> None:
         """Send news of another state but e-stops, of trouble, and of underruns."""
         status, counters = self._player.bus.status, self._player.bus.counters
@@ -249,6 +263,10 @@ class Program:
         if counters.underruns > self._underruns:
             self._send(News("underrun", f"{counters.underruns - self._underruns} more"))
             self._underruns = counters.underruns
+        following = self._player.following
+        if following is not None and following.failure != self._failure:
+            self._failure = following.failure
+            self._send(News("fault", self._failure))
 
 
 class Pipe:
@@ -344,6 +362,8 @@ def open_device(setup: PlaybackSetup) -> tuple[Bus, DeviceOpened]:
     device = setup.device
     if setup.rearm:
         device = with_default_option(device, "rearm", "true")
+    if setup.calibration:
+        device = with_default_option(device, "correlation_ms", str(WINDOW_MS))
     bus = open_bus(
         device, setup.display,
         sample_rate=setup.sample_rate, accept_unsafe_hold=setup.accept_unsafe_hold,
@@ -357,6 +377,40 @@ def open_device(setup: PlaybackSetup) -> tuple[Bus, DeviceOpened]:
     )
 
 
+def follow(
+    setup: PlaybackSetup, bus: Bus, estimates: Callable[[], Estimates]
+) -> FingerFollowing | None:
+    """Prepare to follow the finger, if the server asks for it and the device measures currents.
+
+    Parameters
+    ----------
+    setup : PlaybackSetup
+        Device and display, as the server describes them.
+    bus : Bus
+        Open bus; it is closed if the finger cannot be followed as asked for.
+    estimates : callable
+        Function that returns the place where loads are estimated.
+
+    Returns
+    -------
+    FingerFollowing or None
+        What follows the finger; None if the display's own finger is played for.
+
+    Raises
+    ------
+    TactileError
+        If the calibration cannot be used.
+    """
+    if not setup.calibration or not bus.correlates or bus.frames is not None:
+        return None
+    try:
+        calibration = load_calibration(Path(setup.calibration))
+        return FingerFollowing(setup.display, bus, calibration, estimates())
+    except TactileError:
+        bus.close()
+        raise
+
+
 def main() -> None:
     """Play as the server orders on standard input."""
     inward, outward = pipes_of_parent()
@@ -365,6 +419,7 @@ def main() -> None:
         sys.exit(1)
     try:
         bus, how = open_device(setup)
+        following = follow(setup, bus, ProcessEstimates)
         if isinstance(bus, ModeledBus):
             raise BusError(
                 f"{setup.device}: the modeled link has a time of its own, in which a server cannot "
@@ -376,13 +431,14 @@ def main() -> None:
     memory = PlaybackMemory(setup.memory, len(setup.display.contactors))
     session = SessionRing(setup.session) if setup.session else None
     player = PlaybackLoop(
-        setup.display, bus, memory, gain=setup.gain, worn=setup.worn, session=session
-    )
+        setup.display, bus, memory,
+        gain=setup.gain, worn=setup.worn, session=session, following=following,
+    )  # fmt: skip
     pipe = Pipe(inward, outward)
     program = Program(player, Latch(setup.latch, LatchWriter.PLAYBACK), pipe.say)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     refused = priority.prepare()
-    send(outward, DeviceOpened(*_fields(how), refused))
+    send(outward, replace(how, real_time=refused, follows=following is not None))
     pipe.begin(program)
     threading.Thread(target=program.watch, name="tactile-watch", daemon=True).start()
     priority.raise_priority()
@@ -392,8 +448,3 @@ def main() -> None:
         finally:
             pipe.flush(PATIENCE)
     os._exit(0)  # at once: frozen objects are not deallocated one by one
-
-
-def _fields(how: DeviceOpened) -> tuple[float, int, float, float]:
-    """Return the fields of a reply without the refused privileges."""
-    return how.sample_rate, how.carriers, how.frame_rate, how.ahead

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bus.base import BusCounters
+from tactile.playback.followed_finger import FollowedFinger
 from tactile.tracking.finger_sample import FingerSample, rounded
 
 CONTACTS = 256
@@ -51,6 +52,13 @@ class PlaybackCounters(BusCounters):
         Number of positions that playback left out because it was late.
     dropped_waves : int
         Number of blocks of a client's waves, and of transients, for which there was no time.
+    finger_windows, dropped_finger_windows : int
+        Number of windows of current from which loads were estimated, and of those that could not be
+        used.
+    touched_contactors, lifted_contactors : int
+        Number of times that a contactor was touched, and that it lost its finger.
+    unexplained_loads : int
+        Number of contactors in windows whose current no load explained.
     """
 
     limited_samples: int = 0
@@ -59,6 +67,11 @@ class PlaybackCounters(BusCounters):
     lost_contacts: int = 0
     skipped_samples: int = 0
     dropped_waves: int = 0
+    finger_windows: int = 0
+    dropped_finger_windows: int = 0
+    touched_contactors: int = 0
+    lifted_contactors: int = 0
+    unexplained_loads: int = 0
 
 
 COUNTERS = tuple(counter.name for counter in fields(PlaybackCounters))
@@ -70,7 +83,7 @@ CONTACT = struct.Struct("<QQddddd?dd")
 which a flag tells whether there is a velocity."""
 CONTACT_SPACE = 128
 """Distance between two entries of the ring of contacts [bytes]."""
-REPORT = struct.Struct(f"<Qd4BQ8d{len(COUNTERS)}Q{DETAIL}s")
+REPORT = struct.Struct(f"<Qd5BQ8d{len(COUNTERS)}Q{DETAIL}s")
 """Format of the report."""
 AT_HEAD, AT_REPORTED, AT_BEATS = 0, 8, 16
 """Offsets of the number of contacts that were written, the number of the report, and the number of
@@ -80,7 +93,9 @@ AT_CONTACTS = 64
 AT_REPORT = AT_CONTACTS + CONTACT_SPACE * CONTACTS
 """Offset of the report [bytes]."""
 AT_ARRAYS = AT_REPORT + 1024
-"""Offset of the arrays of shear and drive [bytes]."""
+"""Offset of the arrays of shear and drive, and of those of the finger [bytes]."""
+FOLLOWED = 4
+"""Number of values that are told of each contactor's load, the attributes of `FollowedFinger`."""
 State = Literal["disarmed", "armed", "estopped"]
 """State of playback."""
 STATES: tuple[State, ...] = get_args(State)
@@ -125,6 +140,8 @@ class PlaybackReport:
         Value of each counter.
     detail : str
         One line on what is wrong; empty if nothing is.
+    finger : FollowedFinger or None
+        Loads of the contactors; None if they are not known.
     """
 
     blocks: int = 0
@@ -142,6 +159,7 @@ class PlaybackReport:
     put_out_share: float = math.nan
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
     detail: str = ""
+    finger: FollowedFinger | None = field(default=None, compare=False)
 
 
 class SharedFile:
@@ -232,10 +250,12 @@ class PlaybackMemory(SharedFile):
     """
 
     def __init__(self, handle: str, contactors: int) -> None:
-        super().__init__(handle, AT_ARRAYS + 8 * contactors)
-        arrays = np.frombuffer(self._map, np.float32, 2 * contactors, AT_ARRAYS)
-        self.shear: NDArray[np.float32] = arrays[:contactors]
-        self.drive: NDArray[np.float32] = arrays[contactors:]
+        super().__init__(handle, _size(contactors))
+        rows = np.frombuffer(self._map, np.float32, (2 + FOLLOWED) * contactors, AT_ARRAYS)
+        arrays = rows.reshape(-1, contactors)
+        self.shear: NDArray[np.float32] = arrays[0]
+        self.drive: NDArray[np.float32] = arrays[1]
+        self._finger: NDArray[np.float32] = arrays[2:]
         self._read = self._written = self._reported = 0
         self.lost_contacts = 0
 
@@ -253,13 +273,13 @@ class PlaybackMemory(SharedFile):
         PlaybackMemory
             New memory.
         """
-        memory = cls(cls.new_file(AT_ARRAYS + 8 * contactors), contactors)
+        memory = cls(cls.new_file(_size(contactors)), contactors)
         memory.write_report(PlaybackReport())
         return memory
 
     def close(self) -> None:
         """Release the memory, as `SharedFile.close` does."""
-        self.shear = self.drive = np.zeros(0, np.float32)
+        self.shear = self.drive = self._finger = np.zeros(0, np.float32)
         super().close()
 
     # Signs of life
@@ -335,10 +355,14 @@ class PlaybackMemory(SharedFile):
         NUMBER.pack_into(self._map, AT_REPORTED, 2 * self._reported - 1)
         REPORT.pack_into(
             self._map, AT_REPORT, r.blocks, r.time, STATES.index(r.state), r.link == "up",
-            r.running, r.touching, r.client, *r.position, *r.velocity, r.normal_force,
-            r.sample_rate, r.latency, r.put_out_share, *(r.counters[name] for name in COUNTERS),
+            r.running, r.touching, r.finger is not None, r.client, *r.position, *r.velocity,
+            r.normal_force, r.sample_rate, r.latency, r.put_out_share,
+            *(r.counters[name] for name in COUNTERS),
             r.detail.encode()[:DETAIL],
         )  # fmt: skip
+        if r.finger is not None:
+            f = r.finger
+            self._finger[:] = f.touching, f.stiffness, f.deviation, f.explained
         NUMBER.pack_into(self._map, AT_REPORTED, 2 * self._reported)
 
     def report(self) -> PlaybackReport:
@@ -354,16 +378,28 @@ class PlaybackMemory(SharedFile):
         for _ in range(100):
             before = NUMBER.unpack_from(self._map, AT_REPORTED)[0]
             row = REPORT.unpack_from(self._map, AT_REPORT)
+            finger = self._finger.copy()
             if before % 2 == 0 and before == NUMBER.unpack_from(self._map, AT_REPORTED)[0]:
                 break
         counters = dict(zip(COUNTERS, row[-len(COUNTERS) - 1 : -1], strict=True))
-        blocks, time, state, link, running, touching, client, *rest = row[: -len(COUNTERS) - 1]
-        x, y, vx, vy, force, rate, late, share = rest
+        blocks, time, state, link, running, touching, known, client = row[:8]
+        x, y, vx, vy, force, rate, late, share = row[8:16]
         return PlaybackReport(
             blocks, time, STATES[state], "up" if link else "down", bool(running), bool(touching),
             client, (x, y), (vx, vy), force, rate, late, share, counters,
-            row[-1].rstrip(b"\0").decode(errors="replace"),
+            row[-1].rstrip(b"\0").decode(errors="replace"), _followed(finger) if known else None,
         )  # fmt: skip
+
+
+def _size(contactors: int) -> int:
+    """Return the size of the memory of a display [bytes]."""
+    return AT_ARRAYS + 4 * (2 + FOLLOWED) * contactors
+
+
+def _followed(rows: NDArray[np.float32]) -> FollowedFinger:
+    """Return the finger of rows as `PlaybackMemory.write_report` writes them."""
+    touching, stiffness, deviation, explained = rows.astype(np.float64)
+    return FollowedFinger(touching > 0, stiffness, deviation, explained > 0)
 
 
 def _place(n: int) -> int:

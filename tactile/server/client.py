@@ -26,6 +26,7 @@ from tactile.messages import (
     kind_of,
 )
 from tactile.playback import commands
+from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.waves import ENDING, Curve
 from tactile.server.decoding import failed, hint
 from tactile.server.effects import LONGEST_EFFECT, SAMPLE_RATE
@@ -103,6 +104,21 @@ class Client:
                 if k != oldest:
                     self.outbox.put_nowait(item)
         self.outbox.put_nowait(what)
+
+    def watches(self, display: str) -> bool:
+        """Return whether the client gets telemetry of a display.
+
+        Parameters
+        ----------
+        display : str
+            Name of the display.
+
+        Returns
+        -------
+        bool
+            Whether it has subscribed.
+        """
+        return display in self._telemetry
 
     @property
     def sounds(self) -> bool:
@@ -468,4 +484,15 @@ def snapshot(playing: Playing) -> TelemetryMessage:
         drive_v=tuple(playing.memory.drive.tolist()),
         counters=r.counters,
         put_out_share=_known(r.put_out_share),
+        finger=None if r.finger is None else _told(r.finger),
+    )
+
+
+def _told(finger: FollowedFinger) -> m.TelemetryFinger:
+    """Return the loads of a finger in the units of the API."""
+    return m.TelemetryFinger(
+        touching=tuple(finger.touching.tolist()),
+        stiffness_n_m=tuple(finger.stiffness.tolist()),
+        equalizer_error_db=tuple(finger.deviation.tolist()),
+        explained=tuple(finger.explained.tolist()),
     )

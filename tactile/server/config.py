@@ -17,6 +17,7 @@ from tactile import files
 from tactile.display.display import Display, load_with_source
 from tactile.errors import InputError
 from tactile.messages import ALL_ROLES, Fraction, Name, Role
+from tactile.playback.finger_following import default_calibration
 
 Port = Annotated[int, Meta(ge=0, le=65535)]
 """TCP or UDP port; 0 means any free TCP port."""
@@ -157,6 +158,23 @@ class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     folder: Annotated[str, Meta(min_length=1)] | None = None
 
 
+class FingerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Whether playback follows the finger.
+
+    Attributes
+    ----------
+    follow : bool
+        Whether the equalizer follows the finger on each contactor, by the currents that the
+        amplifier measures. With an amplifier that measures none, the display's own finger is played
+        for.
+    calibration : str or None
+        File of ``tactile calibrate``; by default that of the display's name beside this file.
+    """
+
+    follow: bool = False
+    calibration: Annotated[str, Meta(min_length=1)] | None = None
+
+
 class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Display that is played.
 
@@ -213,6 +231,8 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         Table ``[log]``.
     record : RecordConfig
         Table ``[record]``.
+    finger : FingerConfig
+        Table ``[finger]``.
     display : tuple of DisplayConfig
         Tables ``[[display]]``.
     """
@@ -222,6 +242,7 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     osc: OscConfig = OscConfig()
     log: LogConfig = LogConfig()
     record: RecordConfig = RecordConfig()
+    finger: FingerConfig = FingerConfig()
     display: tuple[DisplayConfig, ...] = (DisplayConfig(),)
 
     def __post_init__(self) -> None:
@@ -231,11 +252,28 @@ class File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"display[{i}].name = {name!r}: is taken by another display")
+        self._check_finger()
         server = self.server
         if not server.token_file and not self.token and not is_loopback(server.host):
             raise ValueError(
                 f"server.token_file = {server.token_file or ''!r}: must be given, or a [[token]], "
                 f"because other machines can connect to host {server.host!r}"
+            )
+
+    def _check_finger(self) -> None:
+        """Raise ValueError if the finger cannot be followed as the tables say."""
+        if not self.finger.follow:
+            return
+        if self.record.folder:
+            raise ValueError(
+                "finger.follow = true: a session that follows the finger cannot be rendered again; "
+                "leave out record.folder"
+            )
+        files = [self.finger.calibration or display.display for display in self.display]
+        if len(set(files)) < len(files):
+            raise ValueError(
+                "finger.follow = true: each display needs a calibration of its own; give them "
+                "display files of different names, and leave out finger.calibration"
             )
 
 
@@ -287,6 +325,9 @@ def load_config(path: Path | None) -> Configuration:
         osc=tables.osc,
         log=structs.replace(tables.log, file=_beside(folder, tables.log.file)),
         record=structs.replace(tables.record, folder=_beside(folder, tables.record.folder)),
+        finger=structs.replace(
+            tables.finger, calibration=_beside(folder, tables.finger.calibration)
+        ),
         display=tuple(
             structs.replace(display, display=_display(folder, display.display))
             for display in tables.display
@@ -338,6 +379,27 @@ def load_configured(config: DisplayConfig) -> tuple[Display, files.SourceFile]:
         )
     limits = replace(display.limits, voltage=config.voltage_limit_v)
     return replace(display, limits=limits), source
+
+
+def calibration_of(config: Configuration, display: Display) -> str:
+    """Return the calibration by which playback of a display follows the finger.
+
+    Parameters
+    ----------
+    config : Configuration
+        Configuration of the server.
+    display : Display
+        The display.
+
+    Returns
+    -------
+    str
+        Path of the file; empty if the finger is not to be followed.
+    """
+    if not config.finger.follow:
+        return ""
+    folder = Path() if config.path is None else config.path.parent
+    return config.finger.calibration or str(folder / default_calibration(display.name))
 
 
 def read_tokens(config: Configuration) -> list[tuple[bytes, frozenset[Role]]]:

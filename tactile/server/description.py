@@ -41,4 +41,5 @@ def describe(
         latency_ms=1e3 * latency,
         estop=latch.holds,
         latest_estop=latch.number,
+        follows=how.follows,
     )

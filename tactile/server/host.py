@@ -134,7 +134,7 @@ class Host:
             latches = await _latches(self._config.display, {}, self._clock)
             for config, latch in latches.items():
                 self.playing[config.name] = Playing(
-                    config, latch, self._preparation_queue, self._broadcast, self._config.record
+                    config, latch, self._preparation_queue, self._broadcast, self._config
                 )
             await self._desk.start({name: playing.latch for name, playing in self.playing.items()})
             await self._inherit(latches)
@@ -212,7 +212,7 @@ class Host:
         await asyncio.gather(*(playing.end() for playing in before.values()))
         for entry, latch in latches.items():
             after[entry.name] = Playing(
-                entry, latch, self._preparation_queue, self._broadcast, self._config.record
+                entry, latch, self._preparation_queue, self._broadcast, self._config
             )
         self.playing = {entry.name: after[entry.name] for entry in config.display}
         for playing in before.values():
@@ -328,9 +328,10 @@ class Host:
                 self.run(playing.disarm)
 
     def _broadcast(self, event: EventMessage) -> None:
-        """Post an event to all clients."""
+        """Post an event to all clients; touches only to those with telemetry of the display."""
         for client in self._clients.values():
-            client.post(event)
+            if not event.contactors or client.watches(event.display):
+                client.post(event)
 
     def healthy(self) -> bool:
         """Return whether every display plays and `tactile estop` reaches the server.

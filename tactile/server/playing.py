@@ -29,7 +29,12 @@ from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, Pl
 from tactile.playback.shared_memory import PlaybackMemory, PlaybackReport
 from tactile.playback.voice import ClientState
 from tactile.server.children import Child
-from tactile.server.config import DisplayConfig, RecordConfig, load_configured
+from tactile.server.config import (
+    Configuration,
+    DisplayConfig,
+    calibration_of,
+    load_configured,
+)
 from tactile.server.description import describe
 from tactile.server.finger import FingerOwnership
 from tactile.server.owners import CONFIGURATION, Owners
@@ -52,6 +57,10 @@ FIRST_RETRY, LONGEST_RETRY = 0.5, 10.0
 """Shortest and longest pause before playback is started again [s]."""
 PLAYBACK_SILENCE = 4.0
 """Time without a report after which playback is considered to hang [s]."""
+NO_CURRENTS = (
+    "finger.follow = true: the device measures no currents; it plays for the finger of the display"
+)
+"""Line about a device that cannot be played as the configuration says."""
 SERVER = 0
 """Number of the client in whose place the server itself has textures prepared anew."""
 
@@ -91,8 +100,9 @@ class Playing:
         Queue that prepares textures.
     post : callable
         Function that is called with each `EventMessage`.
-    record : RecordConfig
-        Where sessions are recorded.
+    whole : Configuration
+        Configuration of the server: where sessions are recorded, and whether the finger is
+        followed.
 
     Attributes
     ----------
@@ -128,11 +138,12 @@ class Playing:
         latch: Latch,
         preparation_queue: PreparationQueue,
         post: Callable[[EventMessage], None],
-        record: RecordConfig,
+        whole: Configuration,
     ) -> None:
         self.config = config
         self.display, source = load_configured(config)
-        self.session = SessionRecording(config, self.display, source, record)
+        self.session = SessionRecording(config, self.display, source, whole.record)
+        self._calibration = calibration_of(whole, self.display)
         self._loop = asyncio.get_running_loop()
         self.latch = latch
         self.memory = PlaybackMemory.create(len(self.display.contactors))
@@ -199,7 +210,7 @@ class Playing:
             PlaybackSetup(
                 self.display, config.device, config.rearm, config.sample_rate_hz,
                 config.accept_unsafe_hold, config.gain, config.worn, self.memory.handle,
-                self.latch.handle, ring.handle if ring else "",
+                self.latch.handle, ring.handle if ring else "", self._calibration,
             )
         )  # fmt: skip
         try:
@@ -214,6 +225,8 @@ class Playing:
         self.lost, self._since = False, self._loop.time()
         for refused in self.how.real_time:
             log.warning("%s: %s", config.name, refused)
+        if self._calibration and not self.how.follows:
+            log.warning("%s: %s", config.name, NO_CURRENTS)
         log.info("%s: %s plays at %g Hz", config.name, config.device, self.how.sample_rate)
 
     def _receive(self, what: Any) -> None:
@@ -229,7 +242,7 @@ class Playing:
                 else:
                     future.set_result(what.value)
         elif isinstance(what, News):
-            self._announce(what.kind, what.detail)
+            self._announce(what.kind, what.detail, contactors=what.contactors)
         else:
             self._process_ended()
 
@@ -247,11 +260,19 @@ class Playing:
             self.lost = True
             self._announce("lost", "playback died; it is started again")
 
-    def _announce(self, kind: str, detail: str, *, estop: int = 0) -> None:
-        """Log an event and pass it on to the clients."""
-        log.info("%s: %s", self.config.name, f"{kind} {detail}".rstrip())
-        self.session.add_news(News(kind, detail))
-        self._post(EventMessage(display=self.config.name, kind=kind, detail=detail, estop=estop))
+    def _announce(
+        self, kind: str, detail: str, *, estop: int = 0, contactors: tuple[int, ...] = ()
+    ) -> None:
+        """Log an event and pass it on to the clients; touches are too many for the log."""
+        level = logging.DEBUG if contactors else logging.INFO
+        log.log(level, "%s: %s", self.config.name, f"{kind} {detail}".rstrip())
+        self.session.add_news(News(kind, detail, contactors))
+        self._post(
+            EventMessage(
+                display=self.config.name, kind=kind, detail=detail, estop=estop,
+                contactors=contactors,
+            )
+        )  # fmt: skip
 
     async def _supervise(self) -> None:
         """Start playback again whenever it dies or hangs."""

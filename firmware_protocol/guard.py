@@ -1,8 +1,8 @@
 """Guard against a contactor that leaves the finger (section 17 of SPEC.md).
 
-`ChannelGuards` is the amplifier's side: it compares each current with what the host expects of a contactor
-that touches, and turns a channel down where they part. `encode` is the host's side. All arithmetic
-is on integers.
+`ChannelGuards` is the amplifier's side: it compares each current with what the host expects of a
+contactor that touches, and turns a channel down where they part. `encode` is the host's side. All
+arithmetic of the amplifier is on integers.
 """
 
 from collections.abc import Sequence

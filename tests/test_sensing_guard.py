@@ -58,7 +58,7 @@ def test_a_finger_leaves_a_small_residual_and_air_a_large_one(
 def test_the_change_is_what_a_lost_finger_adds_in_the_band_of_the_pilot(
     filters: GuardFilters, plant: SensingPlant
 ) -> None:
-    """The change at the pilot's tones is within 15 % the residual in air; below 300 Hz it is a 30th."""
+    """The change is within 15 % the residual in air at the pilot, and a 30th below 300 Hz."""
     tones = np.array(TONES)
     air = residual(filters, plant.admittance(tones, np.zeros(COUNT)), tones)
 

@@ -29,11 +29,11 @@ FREQUENCY = np.unique(np.concatenate([np.geomspace(10, 100, 12), np.arange(100.0
 PILOT_BAND = 1380.0, 1900.0
 """Frequencies between which the pilot lies, with room for the width of a short window [Hz]."""
 PILOT_WEIGHT, ABOVE_WEIGHT, ABOVE = 6.0, 0.3, 2000.0
-"""Weights of the band of the pilot and of what lies above a frequency [Hz], where nothing is played,
-in the fit of the residual; the rest has 1."""
+"""Weights of the band of the pilot and of what lies above a frequency [Hz], where nothing is
+played, in the fit of the residual; the rest has 1."""
 REJECTED = 1000.0, 30.0, 300.0
-"""Frequency below which nothing should pass the filter of the change [Hz], weight of that in its fit,
-and frequency above which the weight falls as the drive does [Hz]."""
+"""Frequency below which nothing should pass the filter of the change [Hz], weight of that in its
+fit, and frequency above which the weight falls as the drive does [Hz]."""
 POLE_DAMPING = 0.05
 """Weight that keeps the poles small: each of them adds the noise of another current."""
 DEVIATIONS = 6.0

@@ -143,9 +143,7 @@ class GuardedLoop(Loop):
         for at in range(0, WINDOW, GUARD_BLOCK):
             block = drive[at : at + GUARD_BLOCK]
             moved = self._guard.move(GUARD_BLOCK, ramping=False)
-            gain = np.ones_like(block)
-            if moved is not None and self._guarded:
-                gain = np.asarray(moved / guard.FULL)
+            gain = moved / guard.FULL if self._guarded else np.ones_like(block)
             first = begin + at
             shear, current = self.plant.step(block, self._scale(first, GUARD_BLOCK), gain)
             played.append(self._judge(first, block, gain, current))
@@ -165,7 +163,7 @@ class GuardedLoop(Loop):
             for values, unit in ((played, CODE), (current, self._unit))
         )
         self._known.add(first, codes, currents, 0)
-        self._guard.add(self._known.known)
+        self._guard.add(self._known.currents, self._known.steps())
         new = np.isnan(self.tripped) & (self._guard.reasons != GuardReason.NONE)
         self.tripped[new] = (first + GUARD_BLOCK - self.plant.delay) / RATE
         self.reason[new] = self._guard.reasons[new]

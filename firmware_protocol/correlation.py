@@ -215,21 +215,6 @@ class CompleteWindow(NamedTuple):
     entries: bytes
 
 
-class Known(NamedTuple):
-    """Currents that are known after a run of instants, with the drive that caused them.
-
-    Attributes
-    ----------
-    currents : (S, C) array of int
-        Current codes, −32767 … 32767.
-    steps : (S + L − 1, C) array of int
-        Steps of the sample codes, from L − 1 instants before the first current on.
-    """
-
-    currents: Ints
-    steps: Ints
-
-
 class Correlator:
     """Sums of the window under way.
 
@@ -242,8 +227,8 @@ class Correlator:
 
     Attributes
     ----------
-    known : Known
-        Currents that were known after the last run.
+    currents : (S, C) array of int
+        Current codes that were known after the last run, −32767 … 32767.
     """
 
     def __init__(self, channels: int, delay: int = 0) -> None:
@@ -256,8 +241,18 @@ class Correlator:
         self._past: Ints = np.zeros((LAGS + self._delay, self._channels), np.int64)
         self._skipped = self._delay
         """Number of instants to come whose currents are of instants before START."""
-        self.known = Known(self._past[:0], self._past[: LAGS - 1])
+        self.currents = self._played = self._past[:0]
         self.stop()
+
+    def steps(self) -> Ints:
+        """Return the steps of the drive that belong to `currents`.
+
+        Returns
+        -------
+        (S + L − 1, C) array of int
+            Steps of the sample codes, from L − 1 instants before the first current on.
+        """
+        return np.diff(self._played[: len(self.currents) + LAGS], axis=0)
 
     def stop(self) -> None:
         """End the window under way, which is not sent."""
@@ -297,8 +292,11 @@ class Correlator:
         self._past = played[len(codes) :]
         at = min(self._skipped, len(codes))
         self._skipped -= at
-        steps, currents = np.diff(played, axis=0), np.maximum(currents, -FULL_SCALE_CODE)
-        self.known = Known(currents[at:], steps[at : len(codes) + LAGS - 1])
+        currents = np.maximum(currents, -FULL_SCALE_CODE)
+        self.currents, self._played = currents[at:], played[at:]
+        if not self._left and not length:
+            return []
+        steps = np.diff(played, axis=0)
         position, complete = position - self._delay, []
         while at < len(codes) and (self._left or length):
             if not self._left:

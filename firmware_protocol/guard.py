@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
-from firmware_protocol.correlation import Ints, Known, rounded
+from firmware_protocol.correlation import Ints, rounded
 from firmware_protocol.messages import (
     FULL_SCALE_CODE,
     GUARD_BLOCK,
@@ -71,6 +71,8 @@ class ChannelGuards:
         Present gain of each channel, `GUARD_LEAST` … `FULL`.
     reasons : (C,) array of int
         Reason for which each channel has tripped (`GuardReason`).
+    active : bool
+        Whether a channel is armed or held down, or an entry waits.
     """
 
     def __init__(self, channels: int) -> None:
@@ -95,7 +97,7 @@ class ChannelGuards:
         self._pending: Entries = np.zeros(n, ENTRY)
         self._waits = np.zeros(n, np.bool_)
         self._currents: Ints = np.zeros((PAST, n), np.int64)
-        self._left = GUARD_BLOCK
+        self._left, self.active = GUARD_BLOCK, False
         self._sums: Ints = np.zeros((4, n), np.int64)
         self._blocks: Ints = np.zeros((GUARD_BLOCKS, 4, n), np.int64)
         self._complete: Ints = np.zeros(n, np.int64)
@@ -113,13 +115,12 @@ class ChannelGuards:
         """
         self._pending[first : first + len(entries)] = entries
         self._waits[first : first + len(entries)] = True
+        self.active = True
 
     @property
-    def most(self) -> int | None:
-        """Number of instants until something may trip or be armed; None if nothing can."""
-        if self._waits.any() or self._armed.any():
-            return self._left
-        return None
+    def most(self) -> int:
+        """Number of instants that may be put out before the guards judge them."""
+        return self._left
 
     @property
     def _armed(self) -> NDArray[np.bool_]:
@@ -127,8 +128,8 @@ class ChannelGuards:
         armed = self._entries["flags"] & GuardFlag.ARMED != 0
         return np.asarray(armed & (self.reasons == GuardReason.NONE))
 
-    def move(self, count: int, *, ramping: bool) -> Ints | None:
-        """Move the gains on with each instant, unless a ramp is under way.
+    def move(self, count: int, *, ramping: bool) -> Ints:
+        """Move the gains of active guards on with each instant, unless a ramp is under way.
 
         Parameters
         ----------
@@ -139,12 +140,10 @@ class ChannelGuards:
 
         Returns
         -------
-        (S, C) array of int or None
-            Gains at each instant, in 1/`FULL`; None if all are full.
+        (S, C) array of int
+            Gains at each instant, in 1/`FULL`.
         """
         tripped = self.reasons != GuardReason.NONE
-        if not tripped.any() and (self.gain == FULL).all():
-            return None
         moves = np.arange(1, count + 1)[:, None] * (not ramping)
         falling = np.maximum(self.gain - self._fall * moves, GUARD_LEAST)
         rising = np.minimum(self.gain + self._rise * moves, FULL)
@@ -152,32 +151,40 @@ class ChannelGuards:
         self.gain = gains[-1]
         return gains
 
-    def add(self, known: Known) -> bool:
+    def add(self, currents: Ints, steps: Ints | None) -> bool:
         """Judge the currents of a run that reaches to the end of a block at most.
 
         Parameters
         ----------
-        known : Known
-            Currents, and the steps of the drive.
+        currents : (S, C) array of int
+            Current codes that are known, −32767 … 32767.
+        steps : (S + L − 1, C) array of int or None
+            Steps of the sample codes, from L − 1 instants before the first current on; None is
+            enough for guards that are not `active`.
 
         Returns
         -------
         bool
             Whether a channel has tripped or was released.
         """
-        count = len(known.currents)
-        line = np.concatenate([self._currents, known.currents])
+        count = len(currents)
+        line = np.concatenate([self._currents, currents])
         self._currents = line[count:]
         if not count:
             return False
-        if self._armed.any():
-            self._accumulate(line, known.steps, count)
         ended = count >= self._left
         self._left = (self._left - count - 1) % GUARD_BLOCK + 1
+        if steps is None:
+            return False
+        if self._armed.any():
+            self._accumulate(line, steps, count)
         if not ended:
             return False
         tripped = bool(self._armed.any()) and self._judge()
-        return self._begin() or tripped
+        released = self._begin()
+        held = (self.reasons != GuardReason.NONE) | (self.gain < FULL)
+        self.active = bool((self._armed | held).any())
+        return released or tripped
 
     def _begin(self) -> bool:
         """Begin a block, with the entries that have come during the last one.

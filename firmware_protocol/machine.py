@@ -324,7 +324,7 @@ class Machine:
         """Put out up to ``count`` instants."""
         position, pending = self.position, self._start_tick is not None
         player, first = self._player, self._player.position
-        if player.guard.most is not None:
+        if player.guard.active:
             count = min(count, player.guard.most)
         codes = player.advance(count, pending=pending)
         self._last_position = first + (0 if pending else len(codes) - 1)
@@ -358,7 +358,8 @@ class Machine:
         for window in windows:
             for message in messages_of(window, range_ua, self.config.packet_limit):
                 self._send(message)
-        if guard.add(self._correlator.known):
+        steps = self._correlator.steps() if guard.active else None
+        if guard.add(self._correlator.currents, steps):
             reasons = guard.reasons.astype(np.uint8).tobytes()
             self._send(m.Guarded(self._player.position % TURN, reasons))
 

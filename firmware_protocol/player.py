@@ -6,6 +6,7 @@ reached 0) ends the run and begins the next one.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_protocol.guard import FULL, ChannelGuards
 from firmware_protocol.messages import Phase
@@ -51,8 +52,9 @@ class SamplePlayer:
         Position that is put out next.
     output : (C,) array of int
         Sample codes that were put out last.
-    held : (S, C) array of bool
-        Whether a guard held each channel down, at the instants of the last run.
+    held : (S, C) array of bool or None
+        Whether a guard held each channel down, at the instants of the last run; None if none was
+        active.
     limit : int
         Largest sample code.
     step : int
@@ -77,7 +79,7 @@ class SamplePlayer:
         self._quick = self._holds = False
         self._gain = 0
         self._exceeded = NOT_OVER
-        self.held = np.zeros((0, source.channels), np.bool_)
+        self.held: NDArray[np.bool_] | None = None
         self.lost_samples = self.underruns = self.limited_samples = 0
 
     def start(self, source: Source, position: int) -> None:
@@ -140,13 +142,13 @@ class SamplePlayer:
         (S, C) array of int
             Sample codes that were put out.
         """
+        self.held = None
         if pending:
-            self.held = np.zeros((count, self.source.channels), np.bool_)
             return self._last_stage(np.zeros((count, self.source.channels), np.int64))
         parts, done = [], 0
-        self.held = self.held[:0]
         while done < count:
-            part = self._last_stage(self._guarded(self._requested(count - done)))
+            part = self._requested(count - done)
+            part = self._last_stage(self._guarded(part) if self.guard.active else part)
             parts.append(part)
             done += len(part)
             if self.ramping and not self._gain and self.silent:
@@ -240,13 +242,12 @@ class SamplePlayer:
         return truncated(within * np.maximum(gains, 0)[:, None], self.fade)
 
     def _guarded(self, codes: Ints) -> Ints:
-        """Return codes times the gains of the guards."""
-        gains = None
-        if self.phase != Phase.STILL or self.ramping:
-            gains = self.guard.move(len(codes), ramping=self.ramping)
-        held = np.zeros_like(codes, np.bool_) if gains is None else gains < FULL
-        self.held = np.concatenate([self.held, held])
-        return codes if gains is None else truncated(codes * gains, FULL)
+        """Return codes times the gains of the guards, and note which are held down."""
+        if self.phase == Phase.STILL and not self.ramping:
+            return codes
+        gains = self.guard.move(len(codes), ramping=self.ramping)
+        self.held = gains < FULL if self.held is None else np.vstack([self.held, gains < FULL])
+        return truncated(codes * gains, FULL)
 
     def _last_stage(self, targets: Ints) -> Ints:
         """Return the codes to put out, within the limit and with no step larger than allowed."""

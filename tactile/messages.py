@@ -767,9 +767,9 @@ class EventMessage(ApiMessage, frozen=True, kw_only=True, tag="event"):
     Kinds are "armed", "disarmed", "estopped", "cleared" (an e-stop was cleared), "fault",
     "underrun", "link" (the link went up or down), "silent" (this client gave no sign of life and
     its waveforms were faded), "lost" (playback died and is being restarted) and "textures" (the
-    textures were read again). Of displays that follow the finger, clients
-    that have subscribed to the telemetry also get "touched" and "lifted" (a finger is on contactors
-    now, or not any more). Other kinds may be added.
+    textures were read again). Clients that have subscribed to the telemetry of a display that
+    follows the finger also get "touched" and "lifted" (a finger is on contactors now, or not any
+    more). Other kinds may be added.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.playback.commands import News, OrderAnswer
 from tactile.playback.estimates import EstimateRequest, OwnEstimates, ProcessEstimates
-from tactile.playback.finger_following import UNHEARD, FingerFollowing
+from tactile.playback.finger_following import LONGEST_GAP, FingerFollowing
 from tactile.playback.process import follow, open_device
 from tactile.playback.sum_windows import DOUBTED, HISTORY
 from tactile.rendering.layer import RealizedLayer
@@ -190,11 +190,11 @@ def test_a_contactor_in_air_has_neither_load_nor_error(two: Pair) -> None:
 def test_without_currents_for_a_while_nothing_is_told_any_more(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Play the filters of the mean finger again after `UNHEARD`."""
+    """Play the filters of the mean finger again after `LONGEST_GAP`."""
     stage.play(0.3)
     assert stage.memory.report().finger is not None
     monkeypatch.setattr(stage.bus, "take_correlations", list)
-    stage.play(UNHEARD - 0.06)
+    stage.play(LONGEST_GAP - 0.06)
     assert stage.memory.report().finger is not None
     stage.play(0.1)
     assert stage.memory.report().finger is None
@@ -386,7 +386,7 @@ def test_a_process_estimates_what_is_estimated_here(two: Pair, apart: ProcessEst
         apart.ask(request)
     until(lambda: len(apart._answers) == 5)
     for mine, other in zip(here.take(), apart.take(), strict=True):
-        assert (mine.generation, mine.asked) == (other.generation, other.asked)
+        assert (mine.generation, mine.end) == (other.generation, other.end)
         np.testing.assert_array_equal(mine.update.taps, other.update.taps)
         np.testing.assert_array_equal(mine.update.loads.logarithms, other.update.loads.logarithms)
         np.testing.assert_array_equal(mine.update.loads.deviation, other.update.loads.deviation)
@@ -430,7 +430,7 @@ def test_answers_that_are_late_are_extrapolated_to_the_time_at_which_they_play(
         bus.write(DriveBlock(at, two[0].to_channels(block)))
         loop.wrote(at, block)
     added = [
-        request.lateness - (request.asked + LOOK_AHEAD - (k + 1) * WINDOW)
+        request.lateness - (request.end + LOOK_AHEAD - (k + 1) * WINDOW)
         for k, request in enumerate(slow.requests)
     ]
     assert added[0] == 0

@@ -295,7 +295,8 @@ def test_guard(vector: Vector) -> None:
         block = slice(first, first + m.GUARD_BLOCK)
         correlator.add(first, codes[block], currents[block], 0)
         before = int(guards.reasons[0])
-        assert guards.add(correlator.known) == (before != guards.reasons[0])
+        changed = guards.add(correlator.currents, correlator.steps())
+        assert changed == (before != guards.reasons[0])
         reasons.append(int(guards.reasons[0]))
     assert reasons == vector["reasons"]
 

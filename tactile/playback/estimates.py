@@ -33,7 +33,7 @@ class EstimateRequest:
     ----------
     generation : int
         Number that changes when the finger is to be forgotten.
-    asked : int
+    end : int
         Position after the latest drive when it was made.
     window : SumWindow
         Sums and drive of all contactors.
@@ -43,7 +43,7 @@ class EstimateRequest:
     """
 
     generation: int
-    asked: int
+    end: int
     window: SumWindow
     lateness: float
 
@@ -54,14 +54,14 @@ class EstimateAnswer:
 
     Attributes
     ----------
-    generation, asked : int
+    generation, end : int
         Those of the request.
     update : FilterUpdate
         Loads, and filters for them.
     """
 
     generation: int
-    asked: int
+    end: int
     update: FilterUpdate
 
 
@@ -94,7 +94,7 @@ class WindowEstimator:
             self._generation = request.generation
             self._follower.forget()
         update = self._follower.estimate(request.window, lateness=request.lateness)
-        return EstimateAnswer(request.generation, request.asked, update)
+        return EstimateAnswer(request.generation, request.end, update)
 
 
 class Estimates(Protocol):

@@ -23,11 +23,11 @@ from tactile.sensing.population import load_stiffness
 
 WINDOW_MS = 25
 """Length of the windows for which the estimator's constants hold [ms]."""
-UNHEARD = 0.25
+LONGEST_GAP = 0.25
 """Time without loads after which the filters of the mean finger play: no currents come, or nothing
 estimates them [s]."""
 STIFFNESS_AT = 100.0
-"""Frequency of the stiffness that is told of a load [Hz]."""
+"""Frequency of the stiffness in `FollowedFinger` [Hz]."""
 MOST_CHANGES = 64
 """Largest number of changes that wait to be taken; the oldest are dropped."""
 
@@ -119,9 +119,9 @@ class FingerFollowing:
     follower : LoadFollower
         What turns shear into volts.
     loads : FollowedLoads or None
-        Latest loads; None before the first, and when none have come for `UNHEARD`.
+        Latest loads; None before the first, and when none have come for `LONGEST_GAP`.
     finger : FollowedFinger or None
-        The same loads as they are told to others.
+        The same loads, for the server.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class FingerFollowing:
         """Number of windows with a finger, and the sum of their median deviations [dB]."""
         self._unexplained = 0
         self._changes: deque[TouchChange] = deque(maxlen=MOST_CHANGES)
-        self._generation = self._delay = self._heard = 0
+        self._generation = self._delay = self._latest = 0
         """Number of times that all was forgotten; time from the latest request to its answer, and
         position at which loads came last [samples]."""
         self._reconnects = bus.counters.reconnects
@@ -165,7 +165,7 @@ class FingerFollowing:
         """Forget the finger and all that was measured, before the bus begins another stream."""
         self._bus.take_correlations()
         self._windows.restart()
-        self._heard = 0
+        self._latest = 0
         self._forget()
 
     def _forget(self) -> None:
@@ -195,18 +195,18 @@ class FingerFollowing:
             self._estimates.ask(EstimateRequest(self._generation, end, played.window, lateness))
             self._follow(end)
         self._follow(end)
-        if self.loads is not None and end - self._heard > UNHEARD * self._rate:
+        if self.loads is not None and end - self._latest > LONGEST_GAP * self._rate:
             self._forget()
 
     def _follow(self, end: int) -> None:
         """Begin to play the filters that have been computed by now."""
         for answer in self._estimates.take():
             if answer.generation == self._generation:
-                self._delay, self._heard = end - answer.asked, end
+                self._delay, self._latest = end - answer.end, end
                 self.follower.apply(answer.update)
                 self._count(answer.update.loads)
                 self.loads = answer.update.loads
-                self.finger = _told(self.loads)
+                self.finger = _finger_of(self.loads)
 
     def _count(self, loads: FollowedLoads) -> None:
         """Count the loads of a window in."""
@@ -278,8 +278,8 @@ class FingerFollowing:
         )
 
 
-def _told(loads: FollowedLoads) -> FollowedFinger:
-    """Return loads as they are told to others."""
+def _finger_of(loads: FollowedLoads) -> FollowedFinger:
+    """Return the loads with which others are served."""
     stiffness = np.abs(load_stiffness(loads.logarithms, np.array([STIFFNESS_AT])))[:, 0]
     touching = loads.touching
     return FollowedFinger(

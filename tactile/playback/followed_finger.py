@@ -1,4 +1,4 @@
-"""What is told of a finger that is followed."""
+"""Loads of a finger that is followed, for whoever displays them."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from tactile.arrays import Floats
 
 @dataclass(frozen=True, eq=False)
 class FollowedFinger:
-    """Loads of N contactors as playback tells them to the server.
+    """Loads of N contactors, as playback reports them to the server.
 
     Attributes
     ----------

@@ -275,8 +275,8 @@ def test_an_amplifier_of_version_1_0_is_played_on_with_a_warning(
         rig = linked("serial")
     assert caplog.messages == [
         "node 1 can put out 100 V and has no e-stop input (SPEC.md, 6.3)",
-        "node 1 has the messages of version 1.0 (schema 0x00000001), this host those of 1.2 "
-        "(0x8DD9777D); a field that either lacks reads as 0",
+        "node 1 has the messages of version 1.0 (schema 0x00000001), this host those of "
+        f"1.{m.MINOR} (0x{m.SCHEMA_CRC:08X}); a field that either lacks reads as 0",
     ]
     rig.begin(0.2)
     assert rig.bus.status.state == "running"

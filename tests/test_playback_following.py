@@ -402,7 +402,7 @@ def test_the_death_of_that_process_is_told_once_and_stops_nothing(
         apart = following(stage)._estimates
         assert isinstance(apart, ProcessEstimates)
         stage.play(0.05)
-        until(lambda: apart._answers)
+        until(lambda: apart._answers or following(stage).loads is not None)
         stage.play(BLOCK / RATE)
         assert following(stage).loads is not None
         apart._process.kill()

@@ -52,6 +52,8 @@ LARGEST_STEP = 1.5
 """Largest change of a state in an iteration."""
 FARTHEST = 3.0
 """Distance from the population's mean to which a state is clamped, in standard deviations."""
+SWINGING_WINDOWS = 6
+"""Number of windows for which a tip may swing after a lift-off that an amplifier has noticed."""
 SETTLING_WINDOWS = 3
 """Number of windows after a touch whose changes say nothing about the rate of the load."""
 DECISIVE = 12.0
@@ -136,6 +138,8 @@ class LoadEstimator:
         self._covariance = np.tile(self._prior, (n, 1, 1))
         self._windows, self._rate = np.zeros(n, np.intp), 0.0
         self._touching = np.ones(n, np.bool_)
+        self._swinging = np.zeros(n, np.intp)
+        """Number of windows for which a tip still swings after an amplifier noticed a lift-off."""
 
     def restart(self, contactors: NDArray[np.bool_]) -> None:
         """Forget the finger on some contactors, for instance because they have been touched again.
@@ -164,6 +168,7 @@ class LoadEstimator:
             Contactors that have.
         """
         self._touching = self._touching & ~contactors
+        self._swinging[contactors] = SWINGING_WINDOWS
         self.restart(contactors)
 
     def update(self, window: SumWindow) -> Estimate:
@@ -240,7 +245,9 @@ class LoadEstimator:
         sure = valid & (np.abs(better) > DECISIVE)
         sure &= ~self._touching | (self._windows >= CONVERGED)
         # after lift-off a tip swings as neither model says: what explains nothing is no finger
-        sure &= self._touching | (touched <= CONSISTENT * residual.shape[1])
+        explained = touched <= CONSISTENT * residual.shape[1]
+        sure &= self._touching | explained | (self._swinging == 0)
+        self._swinging = np.maximum(self._swinging - 1, 0)
         self._touching = np.where(sure, better > 0, self._touching)
         air = ~self._touching & valid
         self.restart(~self._touching)

@@ -1,7 +1,6 @@
 """Tests of the SDK without its server: requests are restored, and nothing is armed unasked."""
 
-import contextlib
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -11,7 +10,7 @@ from tactile import client
 from tactile import messages as m
 from tactile.client import websocket
 from tactile.client.session import ClockOffset
-from tactile.errors import ClientError, DisconnectedError
+from tactile.errors import DisconnectedError
 
 
 def connected_again(server: ScriptedServer, hellos: int = 2) -> list[Any]:
@@ -33,14 +32,16 @@ def test_what_was_asked_is_restored_and_armed_only_where_that_was_asked(
         display.stop()
         display.arm()
         stream = iter(display.telemetry(rate=50))
-        reader = threading.Thread(target=lambda: contextlib.suppress(ClientError) and next(stream))
-        reader.start()
-        until(lambda: server.of(m.Subscribe))
+        with ThreadPoolExecutor() as pool:
+            first = pool.submit(next, stream)
+            until(lambda: server.of(m.Subscribe))
+            server.say(telemetry(0))
+            first.result()  # which comes only when the subscription has been answered
         server.drop()
         connected_again(server)
         until(lambda: [event.kind for event in events] == ["disconnected", "connected"])
         server.say(telemetry(1))
-        reader.join()
+        next(stream)
         display.stats()
         said = [plain(each) for each in connected_again(server)[1:]]
         assert display.connection.counters["reconnections"] == 1

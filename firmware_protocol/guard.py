@@ -57,6 +57,32 @@ def _clamped(values: Ints) -> Ints:
     return within
 
 
+def moved(gain: Ints, tripped: NDArray[np.bool_], *, rate: int, count: int) -> Ints:
+    """Return the gains of channels at the next instants (section 17.4).
+
+    Parameters
+    ----------
+    gain : (C,) array of int
+        Present gain of each channel, `GUARD_LEAST` … `FULL`.
+    tripped : (C,) array of bool
+        Whether the guard of each channel has tripped.
+    rate : int
+        Sample rate [Hz].
+    count : int
+        Number of instants, S.
+
+    Returns
+    -------
+    (S, C) array of int
+        Gains in 1/`FULL`.
+    """
+    fall, rise = (-((GUARD_LEAST - FULL) // max(1, rate // hertz)) for hertz in (FALL_HZ, RISE_HZ))
+    moves = np.arange(1, count + 1)[:, None]
+    falling = np.maximum(gain - fall * moves, GUARD_LEAST)
+    gains: Ints = np.where(tripped, falling, np.minimum(gain + rise * moves, FULL))
+    return gains
+
+
 class ChannelGuards:
     """Guards of all channels.
 
@@ -90,9 +116,7 @@ class ChannelGuards:
         n = self._channels
         self.gain: Ints = np.full(n, FULL, np.int64)
         self.reasons: Ints = np.zeros(n, np.int64)
-        self._fall, self._rise = (
-            -((GUARD_LEAST - FULL) // max(1, rate // hertz)) for hertz in (FALL_HZ, RISE_HZ)
-        )
+        self._rate = rate
         self._entries: Entries = np.zeros(n, ENTRY)
         self._pending: Entries = np.zeros(n, ENTRY)
         self._waits = np.zeros(n, np.bool_)
@@ -144,10 +168,9 @@ class ChannelGuards:
             Gains at each instant, in 1/`FULL`.
         """
         tripped = self.reasons != GuardReason.NONE
-        moves = np.arange(1, count + 1)[:, None] * (not ramping)
-        falling = np.maximum(self.gain - self._fall * moves, GUARD_LEAST)
-        rising = np.minimum(self.gain + self._rise * moves, FULL)
-        gains: Ints = np.where(tripped, falling, rising)
+        if ramping:
+            return np.tile(self.gain, (count, 1))
+        gains = moved(self.gain, tripped, rate=self._rate, count=count)
         self.gain = gains[-1]
         return gains
 

@@ -272,6 +272,22 @@ def test_in_air_the_capacitance_is_followed_within_its_reach(model: CurrentModel
     assert np.all(np.abs(estimator._state[:, CONSTANTS]) <= FARTHEST * CAPACITANCE_SPREAD + 1e-9)
 
 
+@pytest.mark.parametrize("scale", [0.25, 0.5, 1.0, 4.0])
+def test_a_touch_is_noticed_after_air_however_soft_the_finger(
+    model: CurrentModel, scale: float
+) -> None:
+    """Touch with fingers far from the mean one, and near it, after half a second in air."""
+    loads = np.tile(Population.assumed().mean + np.log(scale), (COUNT, 1))
+    estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
+    for window in range(20):
+        estimate = estimator.update(in_air(model, window))
+    assert not estimate.touching.any()
+    for window in range(20, 24):
+        estimate = estimator.update(window_of(model, loads, window))
+    assert estimate.touching.all()
+    assert np.all(estimate.inconsistency < 3)
+
+
 def test_without_windows_loads_do_not_go_on_changing(model: CurrentModel, loads: Floats) -> None:
     """Let loads rise, and then read windows that are not valid: the rate is forgotten."""
     estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)

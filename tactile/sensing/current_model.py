@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from tactile.arrays import Complex, Floats
@@ -157,23 +158,28 @@ class CurrentModel:
         response = self._source / (self._stiffness + load_stiffness(logarithms, GRID))
         return np.asarray(_stacked(response) @ self._weights)
 
-    def weights_and_slopes(self, logarithms: Floats) -> tuple[Floats, Floats]:
+    def weights_and_slopes(
+        self, logarithms: Floats, contactors: NDArray[np.intp] | None = None
+    ) -> tuple[Floats, Floats]:
         """Compute the weights of the shared filters for loads, and their derivatives.
 
         Parameters
         ----------
-        logarithms : (N, 4) array of float
+        logarithms : (K, 4) array of float
             Logarithms of the constants of each contactor's load.
+        contactors : (K,) array of int, optional
+            Contactors; by default all N.
 
         Returns
         -------
-        weights : (N, R) array of float
+        weights : (K, R) array of float
             Weights of `shared`.
-        slopes : (N, 4, R) array of float
+        slopes : (K, 4, R) array of float
             Derivatives to the logarithms.
         """
+        rows = slice(None) if contactors is None else contactors
         terms = load_terms(logarithms, GRID)
-        compliance = 1 / (self._stiffness + terms.sum(axis=1))
-        response = self._source * compliance
+        compliance = 1 / (self._stiffness[rows] + terms.sum(axis=1))
+        response = self._source[rows] * compliance
         slope = -(response * compliance)[:, None] * terms
         return _stacked(response) @ self._weights, _stacked(slope) @ self._weights

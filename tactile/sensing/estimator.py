@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
-from tactile.sensing.correlation import SumWindow
+from tactile.sensing.correlation import LAGS, SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.population import CONSTANTS, Population, spread
-from tactile.sensing.whitening import STATES, WhitenedSums
+from tactile.sensing.whitening import STATES, AirFit, WhitenedSums
 
 CAPACITANCE_SPREAD = 0.02
 """Standard deviation of ln of the capacitance against the baseline at the start (assumed:
@@ -45,9 +45,9 @@ MODEL_ERROR = 0.003
 """Error of the model of the current, relative to it, since errors of the baseline (0.1 % of the
 charge) are no information about the finger."""
 FIRST_WINDOWS = 7
-"""Number of windows after a touch that get `FIRST_ITERATIONS`."""
-FIRST_ITERATIONS, ITERATIONS = 6, 2
-"""Numbers of iterations of a window."""
+"""Number of windows after a touch that get `FAR_ITERATIONS`."""
+FAR_ITERATIONS, ITERATIONS = 4, 2
+"""Number of iterations of a load that may be far from what is expected, and of all after that."""
 LARGEST_STEP = 1.5
 """Largest change of a state in an iteration."""
 FARTHEST = 3.0
@@ -111,6 +111,47 @@ def prior_of(population: Population) -> tuple[Floats, Floats]:
     covariance[:CONSTANTS, :CONSTANTS] = population.covariance
     covariance[CONSTANTS, CONSTANTS] = CAPACITANCE_SPREAD**2
     return np.append(population.mean, 0.0), covariance
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Maximum a posteriori fit of the states of N contactors to a window.
+
+    Attributes
+    ----------
+    model, whitened : CurrentModel, WhitenedSums
+        Prediction and measurement.
+    expected : (N, STATES) array of float
+        Expected states.
+    information : (N, STATES, STATES) array of float
+        Inverse of their covariance.
+    valid : (N,) array of bool
+        Whether the measurement counts.
+    """
+
+    model: CurrentModel
+    whitened: WhitenedSums
+    expected: Floats
+    information: Floats
+    valid: NDArray[np.bool_]
+
+    def iterate(
+        self, state: Floats, contactors: NDArray[np.intp] | None = None, *, weighted: bool = True
+    ) -> tuple[Floats, Floats]:
+        """Return states (K, STATES) after a step of Gauss–Newton, and its Hessian.
+
+        Where it is ``weighted``, what the model does not explain counts less.
+        """
+        rows = slice(None) if contactors is None else contactors
+        residual, slope = self.whitened.linearized(self.model, state, contactors)
+        inconsistency = np.mean(residual**2, axis=1) if weighted else np.zeros(len(state))
+        weight = (self.valid[rows] / np.maximum(1, inconsistency))[:, None, None]
+        information, turned = self.information[rows], slope.transpose(0, 2, 1)
+        hessian = weight * (turned @ slope) + information
+        pull = weight * (turned @ residual[..., None])
+        pull += information @ (self.expected[rows] - state)[..., None]
+        move = np.linalg.solve(hessian, pull)[..., 0]
+        return state + np.clip(move, -LARGEST_STEP, LARGEST_STEP), np.asarray(hessian)
 
 
 class LoadEstimator:
@@ -188,27 +229,18 @@ class LoadEstimator:
         whitened = WhitenedSums.of(self._model, window, self._noise, MODEL_ERROR)
         before = self._state
         expected = np.concatenate([self.ahead(1), before[:, CONSTANTS:]], axis=1)
-        state = expected
         predicted = (1 - FORGETTING) * self._covariance + self._added
-        information = np.linalg.inv(predicted)
-        settling = self._touching & (self._windows < FIRST_WINDOWS)
-        rounds = FIRST_ITERATIONS if settling.any() else ITERATIONS
-        for left in reversed(range(rounds)):
-            residual, slope = whitened.linearized(self._model, state)
-            inconsistency = np.mean(residual**2, axis=1)
-            weight = valid * np.where(left < ITERATIONS, 1 / np.maximum(1, inconsistency), 1.0)
-            hessian = weight[:, None, None] * (slope.transpose(0, 2, 1) @ slope) + information
-            pull = weight[:, None, None] * (slope.transpose(0, 2, 1) @ residual[..., None])
-            pull += information @ (expected - state)[..., None]
-            move = np.linalg.solve(hessian, pull)[..., 0]
-            state = state + np.clip(move, -LARGEST_STEP, LARGEST_STEP)
-            state = self._mean + np.clip(state - self._mean, -self._reach, self._reach)
+        air = whitened.in_air(before[:, CONSTANTS], predicted[:, CONSTANTS, CONSTANTS])
+        information = np.asarray(np.linalg.inv(predicted))
+        fit = _Fit(self._model, whitened, expected, information, valid)
+        far = self._may_be_far(np.sum(air.residual**2, axis=1)) & valid
+        state, self._covariance = self._solved(fit, np.flatnonzero(far))
+        self._state = state
         residual = whitened.residual(self._model, state)
-        self._covariance, self._state = np.linalg.inv(hessian), state
         inconsistency = np.where(valid, np.mean(residual**2, axis=1), np.inf)
         counted = (self._windows >= SETTLING_WINDOWS) & (inconsistency <= CONSISTENT)
         self._windows += valid
-        lifted = self._test_air(whitened, valid, before, predicted, np.sum(residual**2, axis=1))
+        lifted = self._test_air(air, valid, before[:, CONSTANTS], np.sum(residual**2, axis=1))
         inconsistency = np.where(np.isnan(lifted), inconsistency, lifted)
         counted &= self._touching
         if counted.any():
@@ -224,22 +256,42 @@ class LoadEstimator:
             self._state[:, CONSTANTS].copy(),
         )
 
+    def _solved(self, fit: _Fit, far: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Return the states (N, STATES) of a fit, and their covariances.
+
+        Loads of the contactors ``far`` (K,) may be far from what is expected.
+        """
+        state = fit.expected.copy()
+        for _ in range(FAR_ITERATIONS if len(far) else 0):
+            moved, _ = fit.iterate(state[far], far, weighted=False)
+            state[far] = self._clamped(moved)
+        for _ in range(ITERATIONS):
+            moved, hessian = fit.iterate(state)
+            state = self._clamped(moved)
+        return state, np.asarray(np.linalg.inv(hessian))
+
+    def _may_be_far(self, squares: Floats) -> NDArray[np.bool_]:
+        """Return which contactors' loads may be far from what is expected.
+
+        They are those that were touched lately, and those in air whose current air does not
+        explain: ``squares`` (N,) are the squares of the residuals in air.
+        """
+        return np.where(self._touching, self._windows < FIRST_WINDOWS, squares > LAGS + DECISIVE)
+
+    def _clamped(self, state: Floats) -> Floats:
+        """Return states within reach of the population's mean."""
+        return np.asarray(self._mean + np.clip(state - self._mean, -self._reach, self._reach))
+
     def _test_air(
-        self,
-        whitened: WhitenedSums,
-        valid: NDArray[np.bool_],
-        before: Floats,
-        predicted: Floats,
-        touched: Floats,
+        self, air: AirFit, valid: NDArray[np.bool_], factor: Floats, touched: Floats
     ) -> Floats:
         """Decide which contactors are in air, and let them follow their capacitance.
 
-        ``touched`` (N,) are the squares of the residuals under a finger. Return the mean square of
-        the residual of each contactor in air, and NaN of the others.
+        ``factor`` (N,) are the logarithms of their capacitances that were expected, and ``touched``
+        (N,) the squares of the residuals under a finger. Return the mean square of the residual of
+        each contactor in air, and NaN of the others.
         """
-        drift, information, residual = whitened.in_air(
-            before[:, CONSTANTS], predicted[:, CONSTANTS, CONSTANTS]
-        )
+        residual = air.residual
         squares = np.sum(residual**2, axis=1)
         better = squares - touched
         sure = valid & (np.abs(better) > DECISIVE)
@@ -249,13 +301,13 @@ class LoadEstimator:
         sure &= self._touching | explained | (self._swinging == 0)
         self._swinging = np.maximum(self._swinging - 1, 0)
         self._touching = np.where(sure, better > 0, self._touching)
-        air = ~self._touching & valid
+        free = ~self._touching & valid
         self.restart(~self._touching)
         farthest = self._reach[CONSTANTS]
-        drifted = np.clip(before[:, CONSTANTS] + drift, -farthest, farthest)
-        self._state[air, CONSTANTS] = drifted[air]
-        self._covariance[air, CONSTANTS, CONSTANTS] = 1 / information[air]
-        return np.where(air, squares / residual.shape[1], np.nan)
+        drifted = np.clip(factor + air.drift, -farthest, farthest)
+        self._state[free, CONSTANTS] = drifted[free]
+        self._covariance[free, CONSTANTS, CONSTANTS] = 1 / air.information[free]
+        return np.where(free, squares / residual.shape[1], np.nan)
 
     def ahead(self, windows: float) -> Floats:
         """Extrapolate the loads by the present rate of their common change.

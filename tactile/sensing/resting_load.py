@@ -121,8 +121,8 @@ def measure_loads(
 def _in_air(whitened: WhitenedSums, prior: Floats) -> tuple[Floats, Floats]:
     """Return the squares of what air leaves (N,), and of the drift of the capacitance it needs."""
     variance = np.full(len(whitened.measured), prior[CONSTANTS, CONSTANTS])
-    drift, _, residual = whitened.in_air(0 * variance, variance)
-    return np.sum(residual**2, axis=1), drift**2 / variance
+    fit = whitened.in_air(0 * variance, variance)
+    return np.sum(fit.residual**2, axis=1), fit.drift**2 / variance
 
 
 def _improved(

@@ -26,6 +26,25 @@ TINY = 1e-30
 
 
 @dataclass(frozen=True)
+class AirFit:
+    """Fit of the capacitance of N contactors that nothing touches.
+
+    Attributes
+    ----------
+    drift : (N,) array of float
+        Change of the logarithm of its factor.
+    information : (N,) array of float
+        One over the variance of that after the fit.
+    residual : (N, J) array of float
+        Whitened residual.
+    """
+
+    drift: Floats
+    information: Floats
+    residual: Floats
+
+
+@dataclass(frozen=True)
 class WhitenedSums:
     """Sums of N contactors and what a model predicts of them, in J whitened directions.
 
@@ -132,32 +151,36 @@ class WhitenedSums:
         weights = model.weights(state[:, :CONSTANTS])
         return np.asarray(self.measured - electrical - (self.shared @ weights[..., None])[..., 0])
 
-    def linearized(self, model: CurrentModel, state: Floats) -> tuple[Floats, Floats]:
+    def linearized(
+        self, model: CurrentModel, state: Floats, contactors: NDArray[np.intp] | None = None
+    ) -> tuple[Floats, Floats]:
         """Compute what a state leaves of the sums, and how the prediction changes with the state.
 
         Parameters
         ----------
         model : CurrentModel
             Model with which the sums were whitened.
-        state : (N, STATES) array of float
+        state : (K, STATES) array of float
             State of each contactor.
+        contactors : (K,) array of int, optional
+            Contactors; by default all N.
 
         Returns
         -------
-        residual : (N, J) array of float
+        residual : (K, J) array of float
             Whitened residual.
-        slope : (N, J, STATES) array of float
+        slope : (K, J, STATES) array of float
             Derivatives of the prediction.
         """
-        weights, slopes = model.weights_and_slopes(state[:, :CONSTANTS])
-        electrical = self.electrical * np.exp(state[:, CONSTANTS, None])
-        predicted = electrical + (self.shared @ weights[..., None])[..., 0]
-        slope = np.concatenate(
-            [self.shared @ slopes.transpose(0, 2, 1), electrical[..., None]], axis=2
-        )
-        return self.measured - predicted, slope
+        rows = slice(None) if contactors is None else contactors
+        weights, slopes = model.weights_and_slopes(state[:, :CONSTANTS], contactors)
+        electrical = self.electrical[rows] * np.exp(state[:, CONSTANTS, None])
+        shared = self.shared[rows]
+        predicted = electrical + (shared @ weights[..., None])[..., 0]
+        slope = np.concatenate([shared @ slopes.transpose(0, 2, 1), electrical[..., None]], axis=2)
+        return self.measured[rows] - predicted, slope
 
-    def in_air(self, factor: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:
+    def in_air(self, factor: Floats, variance: Floats) -> "AirFit":
         """Fit the capacitance of contactors that nothing touches.
 
         Parameters
@@ -169,15 +192,11 @@ class WhitenedSums:
 
         Returns
         -------
-        drift : (N,) array of float
-            Change of the factor.
-        information : (N,) array of float
-            One over the variance of the factor after that.
-        residual : (N, J) array of float
-            Whitened residual.
+        AirFit
+            Fit.
         """
         electrical = self.electrical * np.exp(factor[:, None])
         residual = self.measured - electrical - self.air
         information = (electrical**2).sum(axis=1) + 1 / variance
         drift = (electrical * residual).sum(axis=1) / information
-        return drift, information, np.asarray(residual - drift[:, None] * electrical)
+        return AirFit(drift, information, np.asarray(residual - drift[:, None] * electrical))

@@ -39,7 +39,7 @@ CONSTANTS = 3
 LINKS = (
     "test_link_edges test_link_credit test_link_capabilities test_link_notes test_link_estop "
     "test_link_states test_link_faults test_mock_bus test_bus_follower test_bus_spectrum "
-    "test_bus_estops test_bus_bad_links contract"
+    "test_bus_estops test_bus_bad_links test_bus_guards contract"
 )
 HOST = (
     "test_server_supervision test_estop_model test_server_owners test_server_reloading "
@@ -71,7 +71,8 @@ TESTS = {
     "study/criteria": "test_study_pieces test_study test_study_running",
     "study/load_fit": "test_load_fit",
     "study/sweep": "test_study_pieces test_study test_study_running",
-    "bus/correlations": "test_correlations",
+    "bus/correlations": "test_correlations test_bus_guards",
+    "bus/amplifier_guards": "test_bus_guards",
     "c/tactile_correlator": "test_protocol_correlation test_protocol_vectors_c test_c_amplifier",
     "c/tactile_amplifier": AMPLIFIER,
     "c/tactile_link": AMPLIFIER,

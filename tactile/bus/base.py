@@ -25,6 +25,16 @@ Currents
     has to take them: only the newest are kept, and what is dropped or wrong is counted in
     `Bus.correlation_counters`.
 
+Guards
+    Amplifiers may turn a channel down by themselves when its current is not the one that the caller
+    expects under the finger. On a bus whose `Bus.guards` is true the caller passes what it expects
+    to `Bus.set_guards`, again for each estimate of the load, and learns from
+    `Bus.take_guard_reports` from which position on a channel was turned down or came back. Settings
+    never delay the drive: on a link that has no time for them the newest ones wait. Nothing is sent
+    before the first window of currents since `Bus.start`, and what still waits is forgotten when
+    playing begins or ends, at an e-stop, and when the link breaks. On other buses settings do
+    nothing.
+
 Threads
     Any thread may call any method, and a signal handler may call `Bus.estop`. `Bus.start`,
     `Bus.stop`, `Bus.abort`, `Bus.clear` and `Bus.close` exclude each other by a lock. The other
@@ -50,7 +60,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
-from tactile.bus.correlations import CorrelationCounters, CorrelationWindow, WindowQueue
+from tactile.bus.correlations import CorrelationCounters, CorrelationWindow, MeasurementQueue
+from tactile.bus.guards import GuardReport, GuardSettings
 from tactile.bus.states import BusState, States
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
@@ -339,7 +350,7 @@ class Bus(ABC):
         self.counters = BusCounters()
         self._next = 0
         self._anchor = 0, 0.0
-        self._windows = WindowQueue()
+        self._windows = MeasurementQueue()
         self._states = States()
         self._call_lock = threading.RLock()  # held by start, stop, abort, clear and close
 
@@ -381,7 +392,7 @@ class Bus(ABC):
 
     @property
     def correlation_counters(self) -> CorrelationCounters:
-        """Windows that came, that were dropped, and that were wrong, since the bus was opened."""
+        """Windows and reports that came, were dropped, and were wrong, since the bus was opened."""
         return self._windows.counters
 
     def take_correlations(self) -> list[CorrelationWindow]:
@@ -397,6 +408,45 @@ class Bus(ABC):
             `correlations`. Empty for a bus that does not correlate.
         """
         return self._windows.take()
+
+    @property
+    def guards(self) -> bool:
+        """Whether an amplifier has guards, and was asked for the correlations that they need."""
+        return False
+
+    def set_guards(self, settings: GuardSettings) -> None:
+        """Tell the guards of amplifiers what to expect; return at once.
+
+        It does nothing unless the bus is running and has `guards`, for amplifiers without guards,
+        and for those of which no window has come since `start`, since the range of their currents
+        is not known. No amplifier confirms settings, and a link may lose them: a caller sets them
+        anew with each estimate, within 50 ms.
+
+        Where settings of a channel still wait to be sent, these take their place. A release that
+        waits stays, unless the amplifier has reported a newer trip of the channel meanwhile.
+
+        Parameters
+        ----------
+        settings : GuardSettings
+            Settings of channels of the display. Those of a channel that are not finite are left
+            out, so that its earlier ones stay in force.
+        """
+        if self.guards and self.state == "running":
+            self._set_guards(settings)
+
+    def take_guard_reports(self) -> list[GuardReport]:
+        """Return what guards have reported since the last call.
+
+        A report is here before the first window of currents that its amplifier sent after it. Who
+        takes the windows first and then the reports thus has a report for each of them.
+
+        Returns
+        -------
+        list of GuardReport
+            Reports in the order in which they came; the newest `MOST_WINDOWS` of `correlations`.
+            Empty for a bus without `guards`.
+        """
+        return self._windows.take_reports()
 
     def start(self, position: int = 0) -> None:
         """Begin playing; return when the amplifier has started.
@@ -703,6 +753,9 @@ class Bus(ABC):
     @abstractmethod
     def _clear(self) -> None:
         """End an e-stop; `_estop` is called again if another one came meanwhile."""
+
+    def _set_guards(self, settings: GuardSettings) -> None:  # noqa: B027
+        """Pass settings on to amplifiers with guards; wait for nothing, and raise nothing."""
 
     def _close(self) -> None:  # noqa: B027
         """Release the device."""

@@ -20,8 +20,10 @@ from firmware_protocol.player import distance
 from firmware_protocol.ports import SerialPort
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
 from tactile.arrays import Floats
+from tactile.bus.amplifier_guards import AmplifierGuards
 from tactile.bus.base import Wiring
-from tactile.bus.correlations import WindowDecoder, WindowQueue
+from tactile.bus.correlations import MeasurementQueue, WindowDecoder
+from tactile.bus.guards import GuardSettings
 from tactile.errors import BusError, InputError
 
 MOST_CHANNELS = 255
@@ -47,8 +49,9 @@ class Board:
         Format in which samples are sent to it.
     sensor : Sensor or None
         What measures its currents; None if it does not.
-    windows : WindowQueue or None
-        Queue that takes the windows of correlated currents, if there is a sensor.
+    windows : MeasurementQueue or None
+        Queue that takes the windows of correlated currents, and what guards report, if there is a
+        sensor.
 
     Attributes
     ----------
@@ -63,16 +66,27 @@ class Board:
         config: AmplifierConfig,
         sample_format: SampleFormat,
         sensor: Sensor | None = None,
-        windows: WindowQueue | None = None,
+        windows: MeasurementQueue | None = None,
     ) -> None:
         self.amplifier = ReferenceAmplifier(config, sensor)
-        self._windows = windows or WindowQueue()
+        self._windows = windows or MeasurementQueue()
         self._window_decoder = WindowDecoder(self._windows.counters, 0)
         self.host = AmplifierHost(SESSION, config.node)
         self._port, self._decoder = SerialPort(self.amplifier), SerialDecoder()
         self._format = sample_format
         self._now = self._heartbeat = self._offset = self._sent = 0
         self.request(m.Hello(SESSION, m.MAJOR, m.MINOR, m.SCHEMA_CRC))
+        self._guards = self._guards_from(0)
+
+    @property
+    def _caps(self) -> m.Caps:
+        """Capabilities of the amplifier, which HELLO has asked for."""
+        assert self.host.caps is not None
+        return self.host.caps
+
+    def _guards_from(self, position: int) -> AmplifierGuards:
+        """Return the guards since a START at a position."""
+        return AmplifierGuards(self._windows.counters, self._caps, 0, position)
 
     def _send(self, packet: Packet) -> None:
         """Pass a packet to the amplifier, and its answers to the host."""
@@ -85,17 +99,29 @@ class Board:
             message = self.host.receive(packet)
             if isinstance(message, m.Correlation):
                 self._add_window(message)
+            elif isinstance(message, m.Guarded):
+                self._add_report(message)
         if self.amplifier.config.sense_ranges_ua:
             counters = self.amplifier.counters
             self._windows.counters.disturbed = counters.lost_samples + counters.limited_samples
 
     def _add_window(self, message: m.Correlation) -> None:
         """Add a window of correlated currents to the queue, if it is right."""
-        assert self.host.caps is not None
-        position = self._sent + distance(message.position, self._sent % TURN) - self._offset
-        window = self._window_decoder.decode(message, self.host.caps, position, 0)
+        position = self._position_of(message.position)
+        window = self._window_decoder.decode(message, self._caps, position, 0)
         if window is not None:
             self._windows.add(window)
+
+    def _add_report(self, message: m.Guarded) -> None:
+        """Add what guards have reported to the queue, if it is right."""
+        reached = self._position_of(self.amplifier.position)
+        report = self._guards.decode(message, self._position_of(message.position), reached)
+        if report is not None:
+            self._windows.add(report)
+
+    def _position_of(self, wire: int) -> int:
+        """Return the position of the owner for one on the wire."""
+        return self._sent + distance(wire, self._sent % TURN) - self._offset
 
     def request(self, message: m.Message) -> None:
         """Send a request.
@@ -131,6 +157,23 @@ class Board:
         """
         self.request(m.Set(SESSION, m.Parameter.CORRELATION_MS, milliseconds))
 
+    @property
+    def guards(self) -> bool:
+        """Whether the amplifier has guards."""
+        return bool(self._caps.features & m.Feature.GUARDS)
+
+    def set_guards(self, settings: GuardSettings) -> None:
+        """Send settings to the guards, if a window of currents has come since the start.
+
+        Parameters
+        ----------
+        settings : GuardSettings
+            Settings of channels.
+        """
+        self._guards.set(settings, self._window_decoder.range_ua)
+        while message := self._guards.take(SESSION):
+            self._send(self.host.packet(message))
+
     def start(self, position: int, rate: int) -> None:
         """Arm the amplifier and begin playing at its next tick.
 
@@ -151,6 +194,7 @@ class Board:
         self._offset = self._sent + SKIPPED - position
         begin = (self._sent + SKIPPED) % TURN
         self._window_decoder = WindowDecoder(self._windows.counters, begin)
+        self._guards = self._guards_from(position)
         self.request(m.Start(SESSION, begin, time=self._now + 1))
 
     def send(self, position: int, volts: Floats) -> None:

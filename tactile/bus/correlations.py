@@ -1,13 +1,14 @@
 """Correlations of the channels' currents with the drive, as amplifiers that measure send them.
 
 An amplifier sends them window by window (SPEC.md, 16). `WindowDecoder` checks the messages of one
-amplifier and converts them to SI units; `WindowQueue` keeps the windows of a bus until somebody
-takes them. What is wrong is counted and never raised.
+amplifier and converts them to SI units; `MeasurementQueue` keeps the windows of a bus, and what its
+guards report, until somebody takes them. What is wrong is counted and never raised.
 """
 
 import threading
 from collections import deque
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +19,14 @@ from firmware_protocol.messages import FULL_SCALE_CODE, Window
 from firmware_protocol.packet import TURN
 from firmware_protocol.player import distance
 from tactile.arrays import Floats
+from tactile.bus.guards import GuardReport
 
 MOST_WINDOWS = 1024
-"""Maximum number of windows that wait to be taken, the newest ones; of 24 channels and 25 ms these
-are 13 s."""
+"""Maximum numbers of windows and of reports that wait to be taken, the newest ones; of 24 channels
+and 25 ms these are 13 s."""
+
+Item = TypeVar("Item")
+"""Type of what waits in a queue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +71,7 @@ class CorrelationWindow:
 
 @dataclass
 class CorrelationCounters:
-    """Events of windows that a bus has counted since it was opened.
+    """Events of windows and reports that a bus has counted since it was opened.
 
     Attributes
     ----------
@@ -82,6 +87,10 @@ class CorrelationCounters:
         Samples that the amplifiers limited or bridged, or had not in time, as far as they have
         reported: where this rises, the drive of the windows was not what was written. On a link
         amplifiers report each quarter of a second.
+    reports : int
+        Reports of guards that came.
+    dropped_reports : int
+        Reports that nobody took in time.
     """
 
     windows: int = 0
@@ -89,10 +98,12 @@ class CorrelationCounters:
     faults: int = 0
     gaps: int = 0
     disturbed: int = 0
+    reports: int = 0
+    dropped_reports: int = 0
 
 
-class WindowQueue:
-    """Windows of a bus that wait to be taken; any thread may add and take.
+class MeasurementQueue:
+    """Windows and reports of a bus that wait to be taken; any thread may add and take.
 
     Attributes
     ----------
@@ -103,22 +114,25 @@ class WindowQueue:
     def __init__(self) -> None:
         self.counters = CorrelationCounters()
         self._windows: deque[CorrelationWindow] = deque()
+        self._reports: deque[GuardReport] = deque()
         self._lock = threading.Lock()
 
-    def add(self, window: CorrelationWindow) -> None:
-        """Add a window, in place of the oldest one if there are too many.
+    def add(self, item: CorrelationWindow | GuardReport) -> None:
+        """Add a window or a report, in place of the oldest one if there are too many.
 
         Parameters
         ----------
-        window : CorrelationWindow
-            Window that has come.
+        item : CorrelationWindow or GuardReport
+            Window or report that has come.
         """
+        counters = self.counters
         with self._lock:
-            self._windows.append(window)
-            self.counters.windows += 1
-            if len(self._windows) > MOST_WINDOWS:
-                self._windows.popleft()
-                self.counters.dropped += 1
+            if isinstance(item, GuardReport):
+                counters.reports += 1
+                counters.dropped_reports += _kept_newest(self._reports, item)
+            else:
+                counters.windows += 1
+                counters.dropped += _kept_newest(self._windows, item)
 
     def take(self) -> list[CorrelationWindow]:
         """Remove and return the windows.
@@ -129,9 +143,34 @@ class WindowQueue:
             Windows in the order in which they came.
         """
         with self._lock:
-            taken = list(self._windows)
-            self._windows.clear()
-        return taken
+            return _emptied(self._windows)
+
+    def take_reports(self) -> list[GuardReport]:
+        """Remove and return the reports.
+
+        Returns
+        -------
+        list of GuardReport
+            Reports in the order in which they came.
+        """
+        with self._lock:
+            return _emptied(self._reports)
+
+
+def _kept_newest(queue: deque[Item], item: Item) -> bool:
+    """Append to a queue; return whether the oldest item was dropped for it."""
+    queue.append(item)
+    if len(queue) <= MOST_WINDOWS:
+        return False
+    queue.popleft()
+    return True
+
+
+def _emptied(queue: deque[Item]) -> list[Item]:
+    """Empty a queue, and return what was in it."""
+    items = list(queue)
+    queue.clear()
+    return items
 
 
 class WindowDecoder:
@@ -143,10 +182,16 @@ class WindowDecoder:
         Counters of the bus.
     begin : int
         Wire position of the START.
+
+    Attributes
+    ----------
+    range_ua : int
+        Range of the current in the latest window [µA]; 0 before the first one.
     """
 
     def __init__(self, counters: CorrelationCounters, begin: int) -> None:
         self._counters, self._begin = counters, begin
+        self.range_ua = 0
         self._next: dict[int, int] = {}
         """Wire position at which the next window of each channel begins."""
 
@@ -176,6 +221,7 @@ class WindowDecoder:
         if entries is None or end > caps.channels or not self._follows(message):
             self._counters.faults += 1
             return None
+        self.range_ua = message.range_ua
         amperes = message.range_ua * 1e-6 / FULL_SCALE_CODE
         volts = caps.full_scale_uv * 1e-6 / FULL_SCALE_CODE
         return CorrelationWindow(

@@ -21,6 +21,7 @@ from firmware_protocol.messages import Message
 from tactile.arrays import Floats
 from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame, FrameCapability, Wiring
 from tactile.bus.budget import Plan
+from tactile.bus.guards import GuardSettings
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import Goal, SessionPhase
 from tactile.bus.link.session import LinkSession
@@ -244,6 +245,17 @@ class LinkBus(Bus):
     def correlates(self) -> bool:
         """Whether an amplifier measures currents, and was asked for their correlations."""
         return self._correlation_ms > 0 and any(peer.measures for peer in self._session.peers)
+
+    @property
+    def guards(self) -> bool:
+        """Whether an amplifier has guards, and was asked for the correlations that they need."""
+        return self._correlation_ms > 0 and any(peer.guards for peer in self._session.peers)
+
+    def _set_guards(self, settings: GuardSettings) -> None:
+        with self._changed:
+            self._session.set_guards(settings)
+            self._pump()
+        self._wake()
 
     @property
     def lead(self) -> float:

@@ -242,10 +242,21 @@ class Peer:
 
     def _position_at(self, now: float) -> int:
         """Return the wire position that is put out next, by the clock, modulo 2³²."""
-        return (self._reached(now) + self._origin) % TURN
+        return (self.reached(now) + self._origin) % TURN
 
-    def _reached(self, now: float) -> int:
-        """Return the position that is put out next, by the clock."""
+    def reached(self, now: float) -> int:
+        """Return the position that is put out next, by the clock.
+
+        Parameters
+        ----------
+        now : float
+            Host time [s].
+
+        Returns
+        -------
+        int
+            Position on the scale of what is written.
+        """
         assert self.clock is not None
         ticks = max(self.clock.ticks_at(now) - self.begun, 0)
         return self._start_position + math.ceil(ticks * self._rate / self.clock.tick_hz)
@@ -265,7 +276,7 @@ class Peer:
         int
             Position on the scale of what is written.
         """
-        reached = self._reached(now)
+        reached = self.reached(now)
         return reached + distance(wire, (reached + self._origin) % TURN)
 
     def _add_counts(self, underruns: int, late: int | None) -> None:
@@ -341,6 +352,11 @@ class Peer:
     def measures(self) -> bool:
         """Whether the amplifier has agreed to send windows of correlated currents."""
         return isinstance(self.settings.answer, m.Ack)
+
+    @property
+    def guards(self) -> bool:
+        """Whether the amplifier sends windows of correlated currents and has guards."""
+        return self.measures and bool(self.caps.features & Feature.GUARDS)
 
     def ask_for_windows(self, milliseconds: int) -> None:
         """Ask for windows of CORRELATION, if the amplifier has the feature.

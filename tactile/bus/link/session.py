@@ -17,13 +17,16 @@ import numpy as np
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.capabilities import caps_fault
+from firmware_protocol.guard import ENTRY
 from firmware_protocol.host import BY_HOST, refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
-from firmware_protocol.packet import Packet
+from firmware_protocol.packet import Packet, encode_packet
 from tactile.arrays import Floats
+from tactile.bus.amplifier_guards import AmplifierGuards
 from tactile.bus.base import Wiring
 from tactile.bus.budget import Plan, check_limits
-from tactile.bus.correlations import WindowDecoder, WindowQueue
+from tactile.bus.correlations import MeasurementQueue, WindowDecoder
+from tactile.bus.guards import GuardSettings
 from tactile.bus.link.notes import LinkNotes
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import Goal, SessionPhase
@@ -31,6 +34,7 @@ from tactile.bus.link.queries import RETRY
 from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
 from tactile.bus.link.stream import LinkBusCounters, LinkStream
 from tactile.bus.wire import FragmentWatch, Wire
+from tactile.bus.wire_time import Link
 from tactile.errors import InputError
 
 SEARCH = 0.06
@@ -47,6 +51,10 @@ QUEUED = 50e-3
 for longer would keep an amplifier playing for too long after the host (SPEC.md, 14) [s]."""
 HELD = 2e-3
 """Time that packets given to the wire may still take when the next one is given to it [s]."""
+GUARD_MOST, GUARD_TIME = 4, 1e-3
+"""Largest number of channels of a GUARD, whose 284 bytes take 1 ms at 3 Mbit/s, and the time that
+it may take on a slower link, unless it has one channel only: so long the drive waits for it, whose
+lead is 6 ms at least [s]."""
 LATCHED = (State.ESTOP, State.FAULT)
 """States that only CLEAR_FAULT ends."""
 MOVING = (State.RUNNING, State.RAMPDOWN)
@@ -85,8 +93,9 @@ class LinkSession:
     lead : float or None
         Time by which samples are sent before they are put out [s]; None for one that adapts to
         underruns.
-    windows : WindowQueue or None
-        Queue that takes the windows of CORRELATION; by default one of its own.
+    windows : MeasurementQueue or None
+        Queue that takes the windows of CORRELATION and what GUARDED reports; by default one of its
+        own.
     correlation_ms : int
         Length of the windows that amplifiers are asked for, as far as they correlate [ms]; 0 for
         none.
@@ -131,12 +140,12 @@ class LinkSession:
         nodes: Sequence[int] = (),
         rearm: bool = False,
         lead: float | None = None,
-        windows: WindowQueue | None = None,
+        windows: MeasurementQueue | None = None,
         correlation_ms: int = 0,
     ) -> None:
         self.wiring, self.token, self.rearm, self._lead = wiring, token, rearm, lead
-        self._windows, self._correlation_ms = windows or WindowQueue(), correlation_ms
-        self._decoders = dict[int, WindowDecoder]()  # by the nodes of the amplifiers
+        self._windows, self._correlation_ms = windows or MeasurementQueue(), correlation_ms
+        self._decoders, self._guards = dict[int, WindowDecoder](), dict[int, AmplifierGuards]()
         self.peers = [Peer(token, node) for node in nodes]
         self.plan: Plan | None = None
         self.stream: LinkStream | None = None
@@ -156,7 +165,7 @@ class LinkSession:
         self.tripped = self._quick = self._owes_heartbeat = self._gave_up = False
         self._heartbeat = -math.inf
         """Host time of the last HEARTBEAT [s]."""
-        self._seq = 0
+        self._seq = self._guard_turn = 0  # the number of GUARDs, by which amplifiers take turns
         self._fallen: Peer | None = None
         """Amplifier because of which playing ended; None after a start."""
         self._endings: dict[SessionPhase, Callable[[float], None]] = {
@@ -363,6 +372,8 @@ class LinkSession:
                     self.notes.add_log(packet.node, log, now)
                 elif packet.type == m.Correlation.TYPE:
                     self._add_window(known[packet.node], packet, now)
+                elif packet.type == m.Guarded.TYPE:
+                    self._add_report(known[packet.node], packet, now)
             elif self.peers and packet.type in (m.Pulse.TYPE, m.Status.TYPE):
                 self.notes.add_stranger(packet.node, known, now)
             elif self.phase is SessionPhase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
@@ -382,11 +393,44 @@ class LinkSession:
         if message is None or decoder is None or not self._correlation_ms:
             self._windows.counters.faults += 1
             return
-        first = sum(each.caps.channels for each in self.peers[: self.peers.index(peer)])
         position = peer.position_of(message.position, now)
-        window = decoder.decode(message, peer.caps, position, first)
+        window = decoder.decode(message, peer.caps, position, self._first_channel(peer))
         if window is not None:
             self._windows.add(window)
+
+    def _first_channel(self, peer: Peer) -> int:
+        """Return the channel of the display to which the first one of an amplifier belongs."""
+        return sum(each.caps.channels for each in self.peers[: self.peers.index(peer)])
+
+    def _add_report(self, peer: Peer, packet: Packet, now: float) -> None:
+        """Pass what guards report on; what comes before the first START is of no concern."""
+        message, guards = m.Guarded.unpack(packet.payload), self._guards.get(peer.host.node)
+        if guards is None:
+            return
+        if message is None or not self._correlation_ms:
+            self._windows.counters.faults += 1
+            return
+        position = peer.position_of(message.position, now)
+        report = guards.decode(message, position, peer.reached(now))
+        if report is not None:
+            self._windows.add(report)
+
+    def set_guards(self, settings: GuardSettings) -> None:
+        """Let settings of guards wait until the stream leaves the wire time for them.
+
+        Only settings that come while the amplifiers play are kept, for those with guards.
+
+        Parameters
+        ----------
+        settings : GuardSettings
+            Settings of channels of the display.
+        """
+        if self.phase is not SessionPhase.RUN:
+            return
+        for peer in self.peers:
+            guards = self._guards.get(peer.host.node)
+            if guards is not None and peer.guards:
+                guards.set(settings, self._decoders[peer.host.node].range_ua)
 
     def _control(self, stream: LinkStream, now: float) -> None:
         """Let the stream count what was reported, and note the first credit that is wrong."""
@@ -433,6 +477,28 @@ class LinkSession:
                 self._send(part, now, wire)
             if self.stream.no_credit:
                 self.last_fault = self.stream.no_credit
+            self._send_guards(now, wire)
+
+    def _send_guards(self, now: float, wire: Wire) -> None:
+        """Send settings of guards, which nobody confirms, after all else, packet by packet."""
+        most = _guard_group(wire.link) if self._guards_wait else 0
+        while self._guards_wait and now >= self._wire_free - HELD and not wire.busy:
+            self._send(self._next_guard(most), now, wire)
+
+    @property
+    def _guards_wait(self) -> bool:
+        """Whether settings of guards wait; an e-stop, also in a signal handler, ends that."""
+        return any(guards.waits for guards in self._guards.values())
+
+    def _next_guard(self, most: int) -> list[Packet]:
+        """Return a GUARD to the next amplifier for which one waits."""
+        for turn in range(self._guard_turn, self._guard_turn + len(self.peers)):
+            peer = self.peers[turn % len(self.peers)]
+            guards = self._guards.get(peer.host.node)
+            if guards is not None and (message := guards.take(self.token, most)):
+                self._guard_turn = turn + 1
+                return [peer.host.packet(message)]
+        return []
 
     def _send(self, packets: list[Packet], now: float, wire: Wire) -> None:
         """Send packets, and note when the wire will have sent them."""
@@ -444,7 +510,8 @@ class LinkSession:
         """Host time at which `poll` is to be called next, if nothing is received before [s]."""
         stream = math.inf
         if self.phase is SessionPhase.RUN and self.stream is not None:
-            stream = max(self.stream.deadline, self._wire_free - HELD)
+            first = -math.inf if self._guards_wait else self.stream.deadline
+            stream = max(first, self._wire_free - HELD)
         return min([peer.deadline for peer in self.peers] + [self._until, stream])
 
     def lost(self, now: float) -> str:
@@ -489,6 +556,8 @@ class LinkSession:
     def _enter(self, phase: SessionPhase, now: float) -> None:
         """Begin a phase: make its requests to all amplifiers."""
         self.phase, self._until = phase, math.inf
+        for guards in self._guards.values():
+            guards.forget()
         if phase is SessionPhase.SEARCH:
             self._until = now
         requests: dict[SessionPhase, Callable[[], list[Message]]] = {
@@ -560,6 +629,12 @@ class LinkSession:
         self._decoders = {
             peer.host.node: WindowDecoder(self._windows.counters, start.position)
             for peer, start in zip(self.peers, starts, strict=False)
+        }
+        self._guards = {
+            peer.host.node: AmplifierGuards(
+                self._windows.counters, peer.caps, self._first_channel(peer), position
+            )
+            for peer in self.peers
         }
         for peer, start in zip(self.peers, starts, strict=True):
             peer.request(start)
@@ -745,3 +820,12 @@ class LinkSession:
     def _moving(self) -> bool:
         """Whether an amplifier plays or ramps by its latest report."""
         return any(peer.state in MOVING for peer in self.peers)
+
+
+def _guard_group(link: Link) -> int:
+    """Return the largest number of channels of a GUARD that takes `GUARD_TIME` at most, or 1."""
+    for channels in range(GUARD_MOST, 1, -1):
+        message = m.Guard(0, 0, channels, bytes(channels * ENTRY.itemsize))
+        if link.seconds(encode_packet(Packet.of(message))) <= GUARD_TIME:
+            return channels
+    return 1

@@ -20,6 +20,7 @@ from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
+from tactile.bus.guards import GuardSettings
 from tactile.bus.output import OutputRecord
 from tactile.bus.registry import Address, register_bus
 from tactile.bus.simulated.current_sensor import CurrentModel, CurrentSensor, SensorDesign
@@ -115,6 +116,16 @@ class MockBus(Bus):
     def correlates(self) -> bool:
         """Whether the amplifier measures currents, and was asked for their correlations."""
         return self._correlates
+
+    @property
+    def guards(self) -> bool:
+        """Whether the amplifier has guards, and was asked for the correlations that they need."""
+        return self._correlates and self.boards[0].guards
+
+    def _set_guards(self, settings: GuardSettings) -> None:
+        with self._guard:
+            if self.state == "running":  # no e-stop has come since the caller saw it running
+                self.boards[0].set_guards(settings)
 
     @property
     def output(self) -> Floats:

@@ -23,6 +23,7 @@ from tactile.texture.surface import load_texture
 def test_the_budget_marks_what_will_be_sent(command: Command) -> None:
     result = command("budget", "reference-24", "can:socketcan/can0?fd=true")
     assert result.code == 0
+    assert "Guards" not in result.out
     rows = [line.split() for line in result.out.splitlines()[2:]]
     assert [row[0] for row in rows if row[-1] == "chosen"] == ["PCM12"]
     assert rows[0][0] == "PCM16"
@@ -35,9 +36,11 @@ def test_the_budget_counts_windows_of_currents(command: Command) -> None:
     result = command("budget", "reference-24", url)
     lines = result.out.splitlines()
     assert lines[1].strip() == "Windows of 25 ms of currents take 8.6% of the way back"
+    assert lines[2].strip() == "Guards, which follow the finger, take 8.3% of the way out"
     assert [line.split()[0] for line in lines if "chosen" in line] == ["BFP8"]
     told = json.loads(command("budget", "reference-24", url, "--json").out)
     assert 0.08 < told["correlation_use"] < told["reply_use"] < 0.1
+    assert 0.08 < told["guard_use"] < 0.085
 
 
 def test_the_budgets_plan_is_what_an_amplifier_on_that_link_gets(command: Command) -> None:

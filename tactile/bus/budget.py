@@ -5,10 +5,12 @@ A coding is a sample format, or spectrum frames, at a rate and for a number of c
 The budget includes all that the host sends regularly: PCM or spectrum packets as the encoders make
 them, HEARTBEAT and TIME. On media that both directions share, CAN and I²C, it also includes PULSE
 and TIME_REPLY of each amplifier, and CORRELATION if that is asked for. Where replies have a
-direction of their own, they are held against that. Requests and the eight time probes before a
-start are not included. The number of CAN's stuff bits is the mean for random data. A part of the
-wire remains free (`Link.cap`): for the stuff bits of quiet drive (the maximum on CAN is a fifth
-more), for repetitions after errors, and for the jitter of the host.
+direction of their own, they are held against that. If CORRELATION is asked for and amplifiers have
+guards, the budget also includes GUARD, as a host sends it that follows the finger on all channels.
+Requests and the eight time probes before a start are not included, nor is GUARDED, which an
+amplifier sends only when a finger has left a contactor. The number of CAN's stuff bits is the mean
+for random data. A part of the wire remains free (`Link.cap`): for the stuff bits of quiet drive
+(the maximum on CAN is a fifth more), for repetitions after errors, and for the jitter of the host.
 """
 
 import math
@@ -20,11 +22,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from firmware_protocol import correlation, guard
 from firmware_protocol import messages as m
 from firmware_protocol.clock import INTERVAL
-from firmware_protocol.correlation import ENTRY, CompleteWindow, messages_of
 from firmware_protocol.host import pcm
-from firmware_protocol.messages import HEARTBEAT_MS, PACKET_MAX, SampleFormat
+from firmware_protocol.messages import HEARTBEAT_MS, PACKET_MAX, Feature, SampleFormat
 from firmware_protocol.packet import SMALLEST, Packet, encode_packet
 from tactile.bus.base import Wiring
 from tactile.bus.wire_time import Link, above_zero
@@ -50,6 +52,17 @@ PULSE_INTERVAL = 10e-3
 """Interval between PULSE messages of an amplifier (firmware_protocol/SPEC.md, parameter 2) [s].
 
 On I²C the host is assumed to read as often, and once more for each TIME_REPLY.
+"""
+GUARD_INTERVAL = 50e-3
+"""Interval between GUARD entries of a channel [s].
+
+It is half of what firmware_protocol/SPEC.md, 17.2, allows while a finger is there, so that an entry
+may be lost.
+"""
+GUARD_CHANNELS = 4
+"""Largest number of channels of a GUARD.
+
+A packet of 284 bytes then delays the drive by less than 1 ms on a UART of 3 Mbit/s and on CAN FD.
 """
 BOARD_CHANNELS = 255
 """Largest number of channels of an amplifier (u8).
@@ -79,6 +92,8 @@ class Ability:
         Largest size of a packet [bytes].
     channels : tuple of int
         Number of channels of each board, in the order of the display's channels.
+    guards : bool
+        Whether amplifiers have guards. One that has is enough, and all are then counted.
     """
 
     formats: frozenset[SampleFormat] = frozenset(SampleFormat)
@@ -87,6 +102,7 @@ class Ability:
     carriers: int = m.CARRIERS_MAX
     packet_limit: int = PACKET_MAX
     channels: tuple[int, ...] = ()
+    guards: bool = True
 
     @classmethod
     def of(cls, boards: Sequence[m.Caps]) -> "Ability":
@@ -109,6 +125,7 @@ class Ability:
             carriers=min(b.carriers for b in boards),
             packet_limit=min(b.packet_limit for b in boards),
             channels=tuple(b.channels for b in boards),
+            guards=any(b.features & Feature.GUARDS for b in boards),
         )
 
     @property
@@ -302,8 +319,8 @@ def correlations_of(channels: int, limit: int) -> tuple[bytes, ...]:
     tuple of bytes
         Packets.
     """
-    window = CompleteWindow(0, 1, bytes(ENTRY.itemsize * channels))
-    return tuple(_packet(message) for message in messages_of(window, 1, limit))
+    window = correlation.CompleteWindow(0, 1, bytes(correlation.ENTRY.itemsize * channels))
+    return tuple(_packet(message) for message in correlation.messages_of(window, 1, limit))
 
 
 def _correlation_use(
@@ -346,6 +363,64 @@ def reply_use(
         windows += _correlation_use(link, ability, share, correlation_ms, link.reply_seconds)
         others += each
     return windows, windows + others
+
+
+def _guard_size(channels: int) -> int:
+    """Return the length of a GUARD of some channels [bytes]."""
+    return SMALLEST + m.Guard.HEAD.size + channels * guard.ENTRY.itemsize
+
+
+@lru_cache(maxsize=64)
+def guards_of(channels: int, limit: int) -> tuple[bytes, ...]:
+    """Return the packets in which one amplifier receives the GUARD entries of all its channels.
+
+    The content of the entries is zero.
+
+    Parameters
+    ----------
+    channels : int
+        Number of channels of the amplifier.
+    limit : int
+        Largest size of a packet [bytes].
+
+    Returns
+    -------
+    tuple of bytes
+        Packets; empty if the limit is too small for one channel.
+    """
+    if limit < _guard_size(1):
+        return ()
+    entries, largest = np.zeros(channels, guard.ENTRY), min(limit, _guard_size(GUARD_CHANNELS))
+    messages = guard.messages_of(1, entries, largest, channels=range(channels))
+    return tuple(map(_packet, messages))
+
+
+def guard_use(link: Link, channels: int, ability: Ability, correlation_ms: int) -> float:
+    """Return the fraction of the direction to the amplifiers that GUARD takes.
+
+    Parameters
+    ----------
+    link : Link
+        Link to the amplifiers.
+    channels : int
+        Number of channels of the display.
+    ability : Ability
+        Abilities of the amplifiers.
+    correlation_ms : int
+        Length of the windows of correlated currents [ms]; 0 for none, and then there is no GUARD.
+
+    Returns
+    -------
+    float
+        Fraction, of the wire where both directions share it.
+    """
+    if not (correlation_ms and ability.guards):
+        return 0.0
+    # an entry goes in one piece, even where the link prefers smaller packets
+    limit = min(max(link.largest(), _guard_size(1)), ability.packet_limit)
+    boards = Counter(ability.shares(channels)).items()
+    seconds = (n * sum(map(link.mean_seconds, guards_of(share, limit))) for share, n in boards)
+    return sum(seconds) / GUARD_INTERVAL
 
 
 @lru_cache(maxsize=16)
@@ -406,7 +481,7 @@ def use(
     float
         Fraction of the wire; infinite if a packet cannot hold even one channel.
     """
-    limit, total = packet_limit(link, ability), 0.0
+    limit, total = packet_limit(link, ability), guard_use(link, channels, ability, correlation_ms)
     for share, boards in Counter(ability.shares(channels)).items():
         packets = packets_of(coding, samples, share, limit)
         if not packets:
@@ -567,8 +642,21 @@ class _Case:
         if not reason and fraction == math.inf:
             reason = "does not go into packets so small, not even of one channel"
         if not reason and fraction > cap:
-            reason = f"takes {100 * fraction:.0f} % of the wire, {100 * cap:.0f} % may be used"
+            taken = f"takes {100 * fraction:.0f} % of the wire{self.beside()}"
+            reason = f"{taken}, {100 * cap:.0f} % may be used"
         return reason
+
+    def beside(self) -> str:
+        """Return in brackets what of the wire is not for the drive; empty without windows."""
+        link, ability, milliseconds = self.link, self.ability, self.correlation_ms
+        windows = sum(
+            _correlation_use(link, ability, share, milliseconds, link.answer_seconds)
+            for share in ability.shares(self.channels)
+        )
+        guards = guard_use(link, self.channels, ability, milliseconds)
+        shares = {"CORRELATION": windows, "GUARD": guards}
+        parts = ", ".join(f"{100 * x:.0f} % for {name}" for name, x in shares.items() if x)
+        return parts and f" ({parts})"
 
     def crowded(self) -> str:
         """Return why the direction to the host cannot carry the windows; empty if it can."""
@@ -663,7 +751,7 @@ def plan(
     band: float = 1000.0,
     correlation_ms: int = 0,
 ) -> Plan:
-    """Choose the best coding that fits a link.
+    """Choose the best coding that fits a link, beside CORRELATION and GUARD if there are windows.
 
     The order is PCM16, PCM12, BFP8 at 8 kHz; the same at 5, 4 and 2.5 kHz, and below that for a
     band of less than 1 kHz; then spectrum frames. Packets are as short as the link permits.

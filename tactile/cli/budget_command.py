@@ -28,9 +28,13 @@ def run(
 
     Formats are listed from the best to the smallest; the one that will be used is marked.
 
-    Example: tactile budget reference-24 "can:socketcan/can0?fd=true"
+    With correlation_ms in the URL, windows of currents (CORRELATION) count as well, and what guards
+    of the amplifiers are sent while the finger is followed (GUARD). The amplifiers are assumed to
+    have guards.
+
+    Example: tactile budget reference-24 "can:socketcan/can0?fd=true&correlation_ms=25"
     """
-    from tactile.bus.budget import Ability, BudgetError, plan, reply_use, table
+    from tactile.bus.budget import Ability, BudgetError, guard_use, plan, reply_use, table
     from tactile.bus.registry import parse
     from tactile.devices import link_at
 
@@ -42,13 +46,16 @@ def run(
     rows = table(link, loaded.channels, band=band_hz, correlation_ms=window)
     title = f"{loaded.channels} channels on {link.name}, of which {link.cap:.0%} may be used"
     windows, replies = reply_use(link, loaded.channels, Ability(), window)
+    guards = guard_use(link, loaded.channels, Ability(), window)
     if window:
         title += f"\nWindows of {window} ms of currents take {windows:.1%} of the way back"
+        title += f"\nGuards, which follow the finger, take {guards:.1%} of the way out"
     facts = {
         "link": link.name,
         "channels": loaded.channels,
         "cap": link.cap,
         "correlation_use": windows,
+        "guard_use": guards,
         "reply_use": replies,
         "plan": None if chosen is None else asdict(chosen),
         "rows": [asdict(row) | {"fits": row.fits} for row in rows],

@@ -409,6 +409,8 @@ def test_each_board_gets_its_own_packets_beats_and_probes() -> None:
     for link in LINKS:
         alone = use(link, 8, EVERYTHING, coding, 32)
         assert use(link, 24, three, coding, 32) == pytest.approx(3 * alone)
+        guards = guard_use(link, 8, EVERYTHING, 25)
+        assert guard_use(link, 24, three, 25) == pytest.approx(3 * guards)
     assert list(three.shares(20)) == [8, 8, 4]
     assert list(Ability(channels=(24, 8)).shares(41)) == [24, 8, 8, 1]
     assert list(EVERYTHING.shares(300)) == [255, 45]

@@ -807,12 +807,16 @@ class TelemetryFinger(Struct, frozen=True, kw_only=True):
     explained : list of bool
         Whether a load explains the current of each contactor. Where none does, filters for a mean
         finger play.
+    guarded : list of bool
+        Whether the guard of an amplifier has turned each contactor down, because it lost the
+        finger. It comes back as soon as what plays is harmless to a bender in air.
     """
 
     touching: tuple[bool, ...]
     stiffness_n_m: tuple[float, ...]
     equalizer_error_db: tuple[float, ...]
     explained: tuple[bool, ...]
+    guarded: tuple[bool, ...]
 
 
 class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):

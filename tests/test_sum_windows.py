@@ -7,17 +7,22 @@ import numpy as np
 import pytest
 from sim_rig import CHANNEL, HIGH, RATE, noise, opened, shuffled
 
+from tactile.arrays import Floats
 from tactile.bus.base import DriveBlock
 from tactile.bus.correlations import CorrelationWindow
+from tactile.bus.guards import GuardSettings
 from tactile.display.display import Display
-from tactile.playback.sum_windows import DOUBTED, PlayedWindow, SumWindows
+from tactile.playback.sum_windows import DOUBTED, SWINGING, PlayedWindow, SumWindows
 from tactile.sensing.correlation import AFTER, EARLIER, MARGIN
 from tactile.sim import SimulatedDisplay
 
 pytestmark = pytest.mark.usefixtures("plant")
 LENGTH = 80
-VOLTS = noise(3200)[:, CHANNEL] / 20
+VOLTS = noise(12800)[:, CHANNEL] / 20
 """Drive of the contactors [V]."""
+ROUNDED = 3 * 100 / 32767
+"""Largest difference of a step that comes from codes: a sample is rounded, and cut off after its
+gain, which together is less than 1.5 codes of ±100 V [V]."""
 
 
 @pytest.fixture
@@ -28,8 +33,8 @@ def display(tmp_path: Path) -> Display:
 class Stream:
     """A simulated display that plays noise, and the windows that come."""
 
-    def __init__(self, display: Display, first: int = 0) -> None:
-        self.bus: SimulatedDisplay = opened(display, "sim:?correlation_ms=10")
+    def __init__(self, display: Display, first: int = 0, keep: str = "second") -> None:
+        self.bus: SimulatedDisplay = opened(display, f"sim:?correlation_ms=10&keep={keep}")
         self.display, self.first, self.at = display, first, 0
         self.windows = SumWindows(display, self.bus)
         self.bus.start(first)
@@ -146,3 +151,84 @@ def test_after_a_disturbance_windows_are_doubted_for_a_while(display: Display) -
     assert not any(w.window.valid.any() for w in later if w.end <= begin)
     assert all(w.window.valid.all() for w in later if w.end > end)
     assert later[-1].end > end
+
+
+# What guards hold down
+
+
+def wrong(*, release: bool = False) -> GuardSettings:
+    """Return settings by which the guards of contactors 1 and 3 trip at once, or are released."""
+    channels = np.sort(CHANNEL)
+    some = np.isin(channels, np.array(CHANNEL)[[1, 3]])
+    taps, none = np.zeros((4, 13)), np.zeros(4)
+    return GuardSettings(
+        channels, some & (not release), some & release, np.zeros((4, 2)), taps, taps, none, 0.0,
+        none + 1.0,
+    )  # fmt: skip
+
+
+def around(stream: Stream, w: PlayedWindow) -> Floats:
+    """Return the steps (N, S) of what the bus has recorded around a window."""
+    put_out = stream.bus.output[:, CHANNEL]
+    whole = np.vstack([np.zeros((EARLIER + AFTER + 1, 4)), put_out])
+    steps = np.diff(whole, axis=0).T
+    return steps[:, w.position : w.position + EARLIER + AFTER + LENGTH + MARGIN]
+
+
+@pytest.fixture
+def held(display: Display) -> Stream:
+    """Stream of which two contactors have been turned down."""
+    stream = Stream(display, keep="all")
+    stream.play(10)
+    stream.bus.set_guards(wrong())
+    return stream
+
+
+def test_steps_are_those_of_what_guards_have_let_through(held: Stream) -> None:
+    """Compare with the recorded output: from the trip, while turned down, and after the release."""
+    found = held.play(40)
+    assert held.windows.gains.tripped.tolist() == [False, True, False, True]
+    held.bus.set_guards(wrong(release=True))
+    found += held.play(40)
+    assert not held.windows.gains.tripped.any()
+    assert held.windows.gains.trips.tolist() == [0, 1, 0, 1]
+    quiet = 0
+    for w in found:
+        mine, expected = np.hstack([w.window.earlier, w.window.steps]), around(held, w)
+        quiet += int(np.abs(expected[1, -LENGTH:]).max() < 0.1 * np.abs(expected[0]).max())
+        if w.window.valid.all():
+            np.testing.assert_allclose(mine, expected, atol=ROUNDED)
+    assert quiet > 10, "contactors were turned down for a while"
+    invalid = [~w.window.valid for w in found if not w.window.valid.all()]
+    assert all(bad.tolist() == [False, True, False, True] for bad in invalid)
+    trip = int(held.windows.gains.latest[1])
+    doubted = [w for w in found if w.end > trip and w.position < trip + SWINGING * RATE]
+    assert len(invalid) == len(doubted) > 2
+
+
+def test_a_report_that_is_lost_costs_only_the_windows_around_the_trip(
+    held: Stream, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The flag of a window tells of the trip; steps are exact again when windows are valid."""
+    monkeypatch.setattr(held.bus, "take_guard_reports", list)
+    found = held.play(80)
+    assert held.windows.gains.tripped.tolist() == [False, True, False, True]
+    assert not all(w.window.valid.all() for w in found)
+    history = EARLIER + AFTER + LENGTH
+    late = [w for w in found if w.position > held.windows.gains.latest[1] + history]
+    assert len(late) > 10
+    for w in late:
+        assert w.window.valid.all()
+        mine, expected = np.hstack([w.window.earlier, w.window.steps]), around(held, w)
+        np.testing.assert_allclose(mine, expected, atol=ROUNDED)
+    # and of the release
+    held.bus.set_guards(wrong(release=True))
+    held.play(80)
+    assert not held.windows.gains.tripped.any()
+
+
+def test_another_stream_begins_with_full_gains(held: Stream) -> None:
+    held.play(20)
+    assert held.windows.gains.tripped.any()
+    held.windows.restart()
+    assert not held.windows.gains.tripped.any()

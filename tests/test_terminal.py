@@ -451,13 +451,16 @@ def test_a_finger_that_is_followed_is_told_beside_the_values() -> None:
     count = len(SMALL.contactors)
     touching, deviation = np.arange(count) < 2, np.full(count, 9.0)
     deviation[:2] = 0.4, 0.6
-    picture.follow(touching, deviation)
+    none = np.zeros(count, np.bool_)
+    picture.follow(touching, deviation, none)
     for width in (80, 140):
         assert (
             f"limited 17  finger on 2 of {count} ± 0.5 dB" in text(drawn(picture, width=width))[-1]
         )
-    picture.follow(np.zeros(count, np.bool_), deviation)
+    picture.follow(none, deviation, none)
     assert text(drawn(picture))[-1].rstrip().endswith(f"finger on 0 of {count}")
+    picture.follow(none, deviation, touching)
+    assert text(drawn(picture))[-1].rstrip().endswith(f"finger on 0 of {count}, 2 guarded")
 
 
 def test_empty_blocks_and_what_is_not_finite_are_endured() -> None:

@@ -68,6 +68,11 @@ class CorrelationWindow:
         """Channels whose current reached an end of the range, (N,) array of bool."""
         return np.asarray((self.flags & Window.CLIPPED) != 0)
 
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Channels that a guard held down in a part of the window, (N,) array of bool."""
+        return np.asarray((self.flags & Window.GUARDED) != 0)
+
 
 @dataclass
 class CorrelationCounters:

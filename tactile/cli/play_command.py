@@ -313,8 +313,9 @@ def _live(display: "tactile.Display", texture: str, sample_rate: float) -> tuple
             float(block.time[-1]), block.position[-1], block.speed, float(block.normal_force[-1]),
             block.shear, block.drive, renderer.limiter.limited_samples,
         )  # fmt: skip
-        if block.loads is not None:
-            picture.follow(block.loads.touching, block.loads.deviation)
+        if block.finger is not None:
+            finger = block.finger
+            picture.follow(finger.touching, finger.deviation, finger.guarded)
 
     return Live(picture, refresh_per_second=15, transient=True), watch
 
@@ -376,7 +377,11 @@ def _equalizer(s: dict[str, Any]) -> dict[str, str]:
         "equalizer": f"follows the finger, to ± {f['deviation_db']:.2f} dB by its own estimate",
         "finger": f"on {100 * f['touched_share']:.0f}% of the contactors in {f['windows']} windows",
     }
-    changes = {"lifted": f["lifted"], "touched again": f["touched"]}
+    changes = {
+        "lifted": f["lifted"],
+        "touched again": f["touched"],
+        "turned down by a guard": f["guarded"],
+    }
     if any(changes.values()):
         rows["finger"] += ", " + ", ".join(f"{n} times {what}" for what, n in changes.items() if n)
     if f["unexplained_share"] or f["dropped_windows"]:

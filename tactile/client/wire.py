@@ -150,12 +150,16 @@ class FingerState:
     explained : (N,) tuple of bool
         Whether a load explains the current of each contactor. Where none does, filters for a mean
         finger play.
+    guarded : (N,) tuple of bool
+        Whether the guard of an amplifier has turned each contactor down, because it lost the
+        finger. It comes back as soon as what plays is harmless to a bender in air.
     """
 
     touching: tuple[bool, ...]
     stiffness: tuple[float, ...]
     equalizer_error_db: tuple[float, ...]
     explained: tuple[bool, ...]
+    guarded: tuple[bool, ...]
 
 
 @dataclass(frozen=True, slots=True)

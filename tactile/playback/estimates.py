@@ -15,6 +15,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactile.processes import ChildProcess, pipes_of_parent, received, send
 from tactile.sensing.correlation import SumWindow
 from tactile.sensing.load_follower import FilterUpdate, LoadFollower
@@ -40,12 +43,18 @@ class EstimateRequest:
     lateness : float
         Time from the end of the window to the output of the sample from which on the filters are to
         play [samples].
+    guard_lateness : float
+        Time from the end of the window until guards are to know the loads [samples].
+    trips : (N,) array of int
+        Number of times that the guard of each contactor has tripped.
     """
 
     generation: int
     end: int
     window: SumWindow
     lateness: float
+    guard_lateness: float
+    trips: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -56,12 +65,15 @@ class EstimateAnswer:
     ----------
     generation, end : int
         Those of the request.
+    trips : (N,) array of int
+        Those of the request.
     update : FilterUpdate
         Loads, and filters for them.
     """
 
     generation: int
     end: int
+    trips: NDArray[np.intp]
     update: FilterUpdate
 
 
@@ -76,6 +88,8 @@ class WindowEstimator:
 
     def __init__(self, follower: LoadFollower) -> None:
         self._follower, self._generation = follower, 0
+        self._trips = np.zeros((), np.intp)
+        """Number of trips of each contactor by the latest request."""
 
     def answer(self, request: EstimateRequest) -> EstimateAnswer:
         """Estimate the loads in a window.
@@ -93,8 +107,12 @@ class WindowEstimator:
         if request.generation != self._generation:
             self._generation = request.generation
             self._follower.forget()
-        update = self._follower.estimate(request.window, lateness=request.lateness)
-        return EstimateAnswer(request.generation, request.end, update)
+        self._follower.lift(request.trips != self._trips)
+        self._trips = request.trips
+        update = self._follower.estimate(
+            request.window, lateness=request.lateness, guard_lateness=request.guard_lateness
+        )
+        return EstimateAnswer(request.generation, request.end, request.trips, update)
 
 
 class Estimates(Protocol):

@@ -1,7 +1,7 @@
 """Playback that follows the finger: what the bus measures becomes filters of the renderer."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,12 +12,14 @@ from tactile.arrays import Floats
 from tactile.bus.base import Bus
 from tactile.display.display import Display
 from tactile.errors import InputError
-from tactile.playback.estimates import EstimateRequest, Estimates, OwnEstimates
+from tactile.playback.estimates import EstimateAnswer, EstimateRequest, Estimates, OwnEstimates
 from tactile.playback.followed_finger import FollowedFinger
+from tactile.playback.guard_keeping import GuardKeeping
 from tactile.playback.sum_windows import SumWindows
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.sensing.baseline_file import Calibration
 from tactile.sensing.bender import bender_of
+from tactile.sensing.guard import GuardFilters
 from tactile.sensing.load_follower import FollowedLoads, LoadFollower
 from tactile.sensing.population import load_stiffness
 
@@ -67,6 +69,8 @@ class FollowingFigures:
         Share of contactors and windows whose current no load explained.
     lifted, touched : int
         Number of times that a contactor lost its finger, and that it was touched again.
+    guarded : int
+        Number of times that a guard in an amplifier turned a contactor down.
     """
 
     windows: int = 0
@@ -76,6 +80,7 @@ class FollowingFigures:
     unexplained_share: float = 0.0
     lifted: int = 0
     touched: int = 0
+    guarded: int = 0
 
 
 @dataclass(frozen=True)
@@ -145,12 +150,16 @@ class FingerFollowing:
             polarity=display.polarity,
             sample_rate=rate,
             noise=float(np.median(calibration.measured.noise)),
+            guarded=bus.guards,
         )
         self._estimates = estimates or OwnEstimates()
         self._estimates.begin(self.follower)
         self.loads: FollowedLoads | None = None
         self.finger: FollowedFinger | None = None
         self._bus, self._windows = bus, SumWindows(display, bus)
+        self._keeping = GuardKeeping(display)
+        self._guards: GuardFilters | None = None
+        """What guards expected last; None if none was told anything."""
         self._figures = FollowingFigures()
         self._deviations = 0, 0.0
         """Number of windows with a finger, and the sum of their median deviations [dB]."""
@@ -166,10 +175,15 @@ class FingerFollowing:
         self._bus.take_correlations()
         self._windows.restart()
         self._latest = 0
+        self._keeping.restart()
+        self._guards = None
         self._forget()
 
     def _forget(self) -> None:
-        """Forget the finger; the filters of the mean one fade in."""
+        """Forget the finger; the filters of the mean one fade in, and no guard judges any more."""
+        if self._guards is not None:
+            self._bus.set_guards(self._keeping.disarm(self._guards))
+            self._guards = None
         self._generation += 1
         self.loads = self.finger = None
         self.follower.play_mean(round(WINDOW_MS * 1e-3 * self._rate))
@@ -188,13 +202,22 @@ class FingerFollowing:
         end = position + len(drive)
         if self._bus.counters.reconnects != self._reconnects:
             self._reconnects = self._bus.counters.reconnects
+            self._windows.gains.restart()  # as amplifiers do that were started again
             self._forget()
+        gains = self._windows.gains
         for played in self._windows.take():
             self._figures.dropped_windows += not played.window.valid.any()
-            lateness = end + LOOK_AHEAD + self._delay - played.end
-            self._estimates.ask(EstimateRequest(self._generation, end, played.window, lateness))
+            late = end + self._delay - played.end
+            self._estimates.ask(
+                EstimateRequest(
+                    self._generation, end, played.window, late + LOOK_AHEAD,
+                    late - self._ahead, gains.trips,
+                )
+            )  # fmt: skip
             self._follow(end)
         self._follow(end)
+        if self.finger is not None and self.finger.guarded is not gains.tripped:
+            self.finger = replace(self.finger, guarded=gains.tripped)
         if self.loads is not None and end - self._latest > LONGEST_GAP * self._rate:
             self._forget()
 
@@ -206,7 +229,24 @@ class FingerFollowing:
                 self.follower.apply(answer.update)
                 self._count(answer.update.loads)
                 self.loads = answer.update.loads
-                self.finger = _finger_of(self.loads)
+                self.finger = _finger_of(self.loads, self._windows.gains.tripped)
+                self._guard(answer, end)
+
+    @property
+    def _ahead(self) -> int:
+        """Number of samples that are written before they are put out."""
+        return round(self._bus.ahead * self._rate)
+
+    def _guard(self, answer: EstimateAnswer, end: int) -> None:
+        """Tell guards what to expect under the loads of an answer."""
+        gains = self._windows.gains
+        settings = self._keeping.settings(
+            answer.update, tripped=gains.tripped, known=answer.trips == gains.trips,
+            written=end, put_out=end - self._ahead,
+        )  # fmt: skip
+        self._guards = answer.update.guards
+        if settings is not None:
+            self._bus.set_guards(settings)
 
     def _count(self, loads: FollowedLoads) -> None:
         """Count the loads of a window in."""
@@ -258,6 +298,7 @@ class FingerFollowing:
             "touched_contactors": figures.touched,
             "lifted_contactors": figures.lifted,
             "unexplained_loads": self._unexplained,
+            "guarded_contactors": figures.guarded,
         }
 
     @property
@@ -275,10 +316,11 @@ class FingerFollowing:
             unexplained_share=done.unexplained_share / count,
             lifted=done.lifted,
             touched=done.touched,
+            guarded=int(self._windows.gains.trips.sum()),
         )
 
 
-def _finger_of(loads: FollowedLoads) -> FollowedFinger:
+def _finger_of(loads: FollowedLoads, guarded: NDArray[np.bool_]) -> FollowedFinger:
     """Return the loads with which others are served."""
     stiffness = np.abs(load_stiffness(loads.logarithms, np.array([STIFFNESS_AT])))[:, 0]
     touching = loads.touching
@@ -287,4 +329,5 @@ def _finger_of(loads: FollowedLoads) -> FollowedFinger:
         np.where(touching, stiffness, 0.0),
         np.where(touching, loads.deviation, 0.0),
         loads.explained,
+        guarded,
     )

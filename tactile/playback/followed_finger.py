@@ -24,9 +24,12 @@ class FollowedFinger:
     explained : (N,) array of bool
         Whether the load explains the current. Where it does not, filters for the mean of the
         population play.
+    guarded : (N,) array of bool
+        Whether a guard in an amplifier has turned the contactor down, since it lost the finger.
     """
 
     touching: NDArray[np.bool_]
     stiffness: Floats
     deviation: Floats
     explained: NDArray[np.bool_]
+    guarded: NDArray[np.bool_]

@@ -248,8 +248,8 @@ class _Run:
             self.account(block)
             self._write(block)
             if watch is not None:
-                loads = None if following is None else following.loads
-                watch(replace(block, loads=loads), renderer)
+                finger = None if following is None else following.finger
+                watch(replace(block, finger=finger), renderer)
 
         def stroke() -> BusStatus:
             return play(

@@ -59,6 +59,8 @@ class PlaybackCounters(BusCounters):
         Number of times that a contactor was touched, and that it lost its finger.
     unexplained_loads : int
         Number of contactors in windows whose current no load explained.
+    guarded_contactors : int
+        Number of times that a guard in an amplifier turned a contactor down.
     """
 
     limited_samples: int = 0
@@ -72,6 +74,7 @@ class PlaybackCounters(BusCounters):
     touched_contactors: int = 0
     lifted_contactors: int = 0
     unexplained_loads: int = 0
+    guarded_contactors: int = 0
 
 
 COUNTERS = tuple(counter.name for counter in fields(PlaybackCounters))
@@ -94,7 +97,7 @@ AT_REPORT = AT_CONTACTS + CONTACT_SPACE * CONTACTS
 """Offset of the report [bytes]."""
 AT_ARRAYS = AT_REPORT + 1024
 """Offset of the arrays of shear and drive, and of those of the finger [bytes]."""
-FOLLOWED = 4
+FOLLOWED = 5
 """Number of values that are told of each contactor's load, the attributes of `FollowedFinger`."""
 State = Literal["disarmed", "armed", "estopped"]
 """State of playback."""
@@ -362,7 +365,7 @@ class PlaybackMemory(SharedFile):
         )  # fmt: skip
         if r.finger is not None:
             f = r.finger
-            self._finger[:] = f.touching, f.stiffness, f.deviation, f.explained
+            self._finger[:] = f.touching, f.stiffness, f.deviation, f.explained, f.guarded
         NUMBER.pack_into(self._map, AT_REPORTED, 2 * self._reported)
 
     def report(self) -> PlaybackReport:
@@ -398,8 +401,8 @@ def _size(contactors: int) -> int:
 
 def _followed(rows: NDArray[np.float32]) -> FollowedFinger:
     """Return the finger of rows as `PlaybackMemory.write_report` writes them."""
-    touching, stiffness, deviation, explained = rows.astype(np.float64)
-    return FollowedFinger(touching > 0, stiffness, deviation, explained > 0)
+    touching, stiffness, deviation, explained, guarded = rows.astype(np.float64)
+    return FollowedFinger(touching > 0, stiffness, deviation, explained > 0, guarded > 0)
 
 
 def _place(n: int) -> int:

@@ -2,7 +2,8 @@
 
 Amplifiers send windows in parts, by channels. `SumWindows` keeps the drive that was written, puts
 the parts of a window together in the order of the contactors, and passes a window on as soon as all
-of it has come and the drive shortly after it is known.
+of it has come and the drive shortly after it is known. The drive is that which was played: what
+guards have held down is taken into account.
 """
 
 from collections import deque
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from tactile.arrays import Floats
 from tactile.bus.base import Bus
 from tactile.bus.correlations import CorrelationWindow
+from tactile.bus.guard_gains import GuardGains
 from tactile.display.display import Display
 from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
 
@@ -26,6 +28,9 @@ HISTORY = EARLIER + AFTER + 1
 DOUBTED = 0.25
 """Time after a disturbance of the drive for which windows are not valid: amplifiers report how many
 samples they limited, bridged or lacked each quarter of a second [s]."""
+SWINGING = 25e-3
+"""Time after a guard has tripped for which windows are not valid for the contactor, since its tip
+swings as neither a finger nor air lets it [s]."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,8 @@ class _Parts:
     sums: Floats
     rounding: Floats
     clipped: NDArray[np.bool_]
+    held: NDArray[np.bool_]
+    """Whether a guard held each contactor down."""
     missing: NDArray[np.bool_]
 
 
@@ -78,6 +85,8 @@ class SumWindows:
     ----------
     dropped : int
         Number of windows that were dropped, because a part of them or their drive was missing.
+    gains : GuardGains
+        Gains with which guards hold contactors down.
     """
 
     def __init__(self, display: Display, bus: Bus) -> None:
@@ -96,6 +105,7 @@ class SumWindows:
         self._parts: dict[int, _Parts] = {}
         self._ready: deque[tuple[int, _Parts]] = deque()
         self._disturbed, self._doubted_until = self._disturbances(), -1
+        self.gains = GuardGains(len(display.contactors), round(self._rate))
         self.dropped = 0
 
     def wrote(self, position: int, drive: Floats) -> None:
@@ -128,6 +138,7 @@ class SumWindows:
         self._written.clear()
         self._parts.clear()
         self._ready.clear()
+        self.gains.restart()
         self._disturbed, self._doubted_until = self._disturbances(), -1
 
     def _gather(self) -> None:
@@ -147,16 +158,25 @@ class SumWindows:
         """
         for part in self._bus.take_correlations():
             self._add(part)
+        for report in self._bus.take_guard_reports():  # which come before the windows they change
+            row, has = self._rows(report.first_channel, len(report.tripped))
+            tripped = np.zeros(len(row), np.bool_)
+            tripped[has] = report.tripped[row[has]]
+            self.gains.report(report.position, has, tripped)
         self._note_disturbances()
         windows = []
         while self._ready and self._ready[0][0] + self._ready[0][1].samples + MARGIN <= self._end:
             position, parts = self._ready.popleft()
-            steps = self._steps(position, parts.samples)
+            steps = self._steps(position, parts)
             if steps is None:
                 self.dropped += 1
                 continue
             end = position + parts.samples
             valid = ~parts.clipped & (end > self._doubted_until)
+            swinging = (end > self.gains.latest) & (
+                position < self.gains.latest + SWINGING * self._rate
+            )
+            valid &= ~swinging
             window = SumWindow(
                 parts.sums, steps[:, EARLIER:], 2 * parts.rounding, valid, steps[:, :EARLIER]
             )
@@ -175,25 +195,35 @@ class SumWindows:
         if parts is None:
             parts = _Parts(
                 part.samples, part.current_range, np.zeros((count, LAGS)), np.zeros(count),
-                np.zeros(count, np.bool_), np.ones(count, np.bool_),
+                np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.ones(count, np.bool_),
             )  # fmt: skip
             self._parts[part.position] = parts
-        row = self._display.channel - part.first_channel
-        has = (row >= 0) & (row < len(part.sums))
+        row, has = self._rows(part.first_channel, len(part.sums))
         parts.sums[has], parts.rounding[has] = part.sums[row[has]], part.rounding[row[has]]
-        parts.clipped[has] = part.clipped[row[has]]
+        parts.clipped[has], parts.held[has] = part.clipped[row[has]], part.held[row[has]]
         parts.missing &= ~has
         if not parts.missing.any():
             self._ready.append((part.position, self._parts.pop(part.position)))
 
-    def _steps(self, position: int, samples: int) -> Floats | None:
+    def _rows(self, first: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return the row of each contactor among some channels, and whether it is one of them."""
+        row = self._display.channel - first
+        return row, (row >= 0) & (row < count)
+
+    def _steps(self, position: int, parts: _Parts) -> Floats | None:
         """Return the steps of the drive around a window; None if they are not known any more."""
         self._gather()
         begin = len(self._drive) - (self._end - position) - HISTORY
         if begin < 0:
             return None
-        stop = begin + HISTORY + samples + MARGIN
-        return np.asarray(np.diff(self._drive[begin:stop], axis=0).T)
+        count = HISTORY + parts.samples + MARGIN
+        drive = self._drive[begin : begin + count]
+        gains = self.gains.gains(position - HISTORY, count)
+        if self.gains.correct(position, parts.samples, parts.held):
+            gains = self.gains.gains(position - HISTORY, count)
+        if gains is not None:
+            drive = drive * gains
+        return np.asarray(np.diff(drive, axis=0).T)
 
     def _disturbances(self) -> int:
         """Return how often the drive was not what was written, as far as it is known."""

@@ -15,10 +15,10 @@ from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame
 from tactile.clock import Clock
 from tactile.display.display import Display
 from tactile.errors import BusError
+from tactile.playback.followed_finger import FollowedFinger
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import Renderer
 from tactile.rendering.spectrum import SpectrumRenderer
-from tactile.sensing.load_follower import FollowedLoads
 
 BLOCK = 64
 """Largest length of a block [samples]."""
@@ -42,7 +42,7 @@ class PlayedBlock:
         Commanded shear [m].
     speed : float
         Speed of the finger at the end of the block [m/s].
-    loads : FollowedLoads or None
+    finger : FollowedFinger or None
         Latest loads of a finger that is followed; None if they are not known.
     """
 
@@ -52,7 +52,7 @@ class PlayedBlock:
     drive: Floats
     shear: Floats
     speed: float
-    loads: FollowedLoads | None = None
+    finger: FollowedFinger | None = None
 
 
 def play(

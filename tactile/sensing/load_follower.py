@@ -2,7 +2,8 @@
 
 `LoadFollower` takes the place of the equalizer with fixed filters in a renderer. It adds the pilot
 to the volts. Whenever the sums of a window have come, it estimates the loads and cross-fades to
-filters for the loads that are to be expected when these filters play.
+filters for the loads that are to be expected when these filters play. It also computes what the
+guards of an amplifier are to expect, which judge earlier than that.
 """
 
 from dataclasses import dataclass
@@ -17,12 +18,15 @@ from tactile.sensing.correlation import SumWindow
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import CONSISTENT, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
+from tactile.sensing.guard import GuardDesign, GuardFilters
 from tactile.sensing.inverse_mix import InverseMix
 from tactile.sensing.population import Population
 from tactile.sensing.uncertainty import shear_deviation
 
 TAPS, DELAY = 32, 8
 """Length and delay of the filters [samples]."""
+GUARD_WINDOWS = 2
+"""Number of windows for which the guard of a contactor keeps what it expects."""
 PATIENCE = 4
 """Number of windows in a row that a load may fail to explain before the population's mean takes its
 place: 0.1 s of windows of 25 ms."""
@@ -63,11 +67,17 @@ class FilterUpdate:
         Filter of each contactor for the time at which it is to play [V/m].
     samples : int
         Length of the cross-fade to them [samples].
+    guards : GuardFilters or None
+        What guards are to expect until the next update; None without guards.
+    judged : (N,) array of bool
+        Whether the load of each contactor is known well enough for its guard to judge by.
     """
 
     loads: FollowedLoads
     taps: Floats
     samples: int
+    guards: GuardFilters | None
+    judged: NDArray[np.bool_]
 
 
 class LoadFollower:
@@ -83,6 +93,8 @@ class LoadFollower:
         Sample rate [Hz].
     noise : float
         Standard deviation of a sample of the measured current [A].
+    guarded : bool
+        Whether the amplifier has guards.
 
     Raises
     ------
@@ -98,7 +110,13 @@ class LoadFollower:
     delay = DELAY
 
     def __init__(
-        self, baseline: Baseline, *, polarity: Floats, sample_rate: float, noise: float
+        self,
+        baseline: Baseline,
+        *,
+        polarity: Floats,
+        sample_rate: float,
+        noise: float,
+        guarded: bool = False,
     ) -> None:
         population = Population.assumed()
         count = len(polarity)
@@ -110,6 +128,7 @@ class LoadFollower:
         self._equalizer = FollowingEqualizer(self._taps(self._mean, np.ones(count, np.bool_)))
         self._phases, self._position = pilot_phases(count), 0
         self._unexplained = np.zeros(count, np.intp)
+        self._guards = GuardDesign(baseline, sample_rate, noise=noise) if guarded else None
 
     def __call__(self, shear: Singles, normal_force: Floats) -> Singles:
         """Return the volts (S, N) for shear (S, N) [m] that was commanded ``delay`` samples ago."""
@@ -117,25 +136,6 @@ class LoadFollower:
         added = pilot(self._position, len(shear), self._rate, self._phases)
         self._position += len(shear)
         return np.asarray(volts + added.astype(np.float32))
-
-    def take(self, window: SumWindow, *, lateness: float) -> FollowedLoads:
-        """Estimate the loads in a window, and begin to cross-fade to filters for them.
-
-        Parameters
-        ----------
-        window : SumWindow
-            Sums and drive of all contactors.
-        lateness : float
-            As in `estimate`.
-
-        Returns
-        -------
-        FollowedLoads
-            Loads in the middle of the window.
-        """
-        update = self.estimate(window, lateness=lateness)
-        self.apply(update)
-        return update.loads
 
     def apply(self, update: FilterUpdate) -> None:
         """Begin to cross-fade to filters.
@@ -163,7 +163,19 @@ class LoadFollower:
         self._estimator.restart(np.ones(len(self._mean), np.bool_))
         self._unexplained[:] = 0
 
-    def estimate(self, window: SumWindow, *, lateness: float) -> FilterUpdate:
+    def lift(self, contactors: NDArray[np.bool_]) -> None:
+        """Take note that contactors have lost the finger, as guards have noticed.
+
+        Parameters
+        ----------
+        contactors : (N,) array of bool
+            Contactors that have.
+        """
+        self._estimator.lift(contactors)
+
+    def estimate(
+        self, window: SumWindow, *, lateness: float, guard_lateness: float = 0.0
+    ) -> FilterUpdate:
         """Estimate the loads in a window, and compute the filters for them; nothing plays yet.
 
         The cross-fade is to take as long as the window.
@@ -175,6 +187,9 @@ class LoadFollower:
         lateness : float
             Time from the end of the window to the output of the next sample of this stream
             [samples].
+        guard_lateness : float
+            Time from the end of the window until guards get what they are to expect [samples]; they
+            keep that for `GUARD_WINDOWS`.
 
         Returns
         -------
@@ -191,7 +206,14 @@ class LoadFollower:
         used = np.where(explained[:, None], ahead, self._mean)
         deviation = shear_deviation(self._baseline, estimate.logarithms, estimate.covariance)
         loads = FollowedLoads(estimate.touching, estimate.logarithms, deviation, explained)
-        return FilterUpdate(loads, self._taps(used, estimate.touching), window.samples)
+        guards = None
+        if self._guards is not None:
+            late = 0.5 + guard_lateness / window.samples + GUARD_WINDOWS / 2
+            guards = self._guards.filters(self._estimator.ahead(late), estimate.capacitance)
+        return FilterUpdate(
+            loads, self._taps(used, estimate.touching), window.samples, guards,
+            estimate.touching & judged & ~failed,
+        )  # fmt: skip
 
     def _taps(self, logarithms: Floats, touching: NDArray[np.bool_]) -> Floats:
         """Return the filters (N, T) for loads."""

@@ -495,4 +495,5 @@ def _told(finger: FollowedFinger) -> m.TelemetryFinger:
         stiffness_n_m=tuple(finger.stiffness.tolist()),
         equalizer_error_db=tuple(finger.deviation.tolist()),
         explained=tuple(finger.explained.tolist()),
+        guarded=tuple(finger.guarded.tolist()),
     )

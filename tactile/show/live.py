@@ -425,7 +425,9 @@ class LivePicture:
         self.finger = ""
         self._rasters: dict[tuple[int, int, bool], Raster] = {}
 
-    def follow(self, touching: NDArray[np.bool_], deviation: Floats) -> None:
+    def follow(
+        self, touching: NDArray[np.bool_], deviation: Floats, guarded: NDArray[np.bool_]
+    ) -> None:
         """Show what is known of a finger that is followed.
 
         Parameters
@@ -434,10 +436,14 @@ class LivePicture:
             Whether a finger is on the contactor.
         deviation : (N,) array of float
             Standard deviation of the level of its shear [dB].
+        guarded : (N,) array of bool
+            Whether a guard has turned the contactor down.
         """
         self.finger = f"on {np.count_nonzero(touching)} of {len(touching)}"
         if touching.any():
             self.finger += f" ± {np.median(deviation[touching]):.1f} dB"
+        if guarded.any():
+            self.finger += f", {np.count_nonzero(guarded)} guarded"
 
     def update(
         self,

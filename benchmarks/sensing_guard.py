@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.sensing_loop import (
     CODE,
+    FREQUENCY,
     RATE,
     WINDOW,
     Case,
@@ -31,6 +32,7 @@ from tactile.bench.figures import Figure, at_most
 from tactile.sensing.correlation import SumWindow
 from tactile.sensing.estimator import CONSISTENT, Estimate
 from tactile.sensing.guard import GuardDesign
+from tactile.sensing.load_follower import GUARD_WINDOWS
 
 FINGERS, CONTACTORS = 10, 24
 """Numbers of random fingers, and of contactors under each."""
@@ -38,6 +40,11 @@ LOSS = 0.005
 """Time in which a finger leaves a contactor [s]."""
 WORST = 10.0
 """Longest time until a guard is to trip after a finger has begun to leave [ms]."""
+AWAY = 0.02, 0.3
+"""Times for which a finger is away from a contactor, shorter and longer than a guard holds it
+down [s]."""
+RETOUCHED = 0.2
+"""Time after the finger has come back at which the level is judged [s]."""
 TONE, DISPLACEMENT = 920.0, 2e-6
 """Frequency [Hz] and amplitude [m] of a tone near the resonance in air."""
 
@@ -51,6 +58,8 @@ class GuardedLoop(Loop):
         As in `Loop`.
     lift : (N,) array of float
         Time at which each contactor begins to lose the finger [s]; infinite for never.
+    retouch : (N,) array of float, optional
+        Time at which the finger begins to come back [s]; by default never.
     guarded : bool
         Whether a tripped guard turns the channel down.
     tone : bool
@@ -76,6 +85,7 @@ class GuardedLoop(Loop):
         converter: Converter,
         *,
         lift: Floats,
+        retouch: Floats | None = None,
         guarded: bool = True,
         tone: bool = False,
         **options: object,
@@ -87,6 +97,7 @@ class GuardedLoop(Loop):
             wave = DISPLACEMENT * np.sin(2 * np.pi * TONE * time)
             self._shear = np.repeat(wave[:, None], self._shear.shape[1], axis=1).astype(np.float32)
         self._lift, self._guarded, self.commanded = lift, guarded, self._shear
+        self._retouch = np.full(n, np.inf) if retouch is None else retouch
         noise = converter.step * float(np.hypot(converter.noise, 1 / np.sqrt(12)))
         self._design = GuardDesign(case.baseline, RATE, noise=noise)
         self._unit = converter.range / FULL_SCALE_CODE
@@ -95,6 +106,7 @@ class GuardedLoop(Loop):
         self._late = np.zeros((self.plant.delay, n))
         self._gain = np.ones((1, n))
         self._held = np.zeros(n, np.intp)
+        self._windows, self._armed = 0, np.zeros(n, np.bool_)
         self.tripped, self.reason = np.full(n, np.nan), np.zeros(n, np.int64)
         self.largest = np.zeros(n)
 
@@ -114,11 +126,13 @@ class GuardedLoop(Loop):
         return replace(window, valid=window.valid & ~((self._held == 1) | (self._held == 2)))
 
     def _estimated(self, estimate: Estimate) -> None:
-        """Send entries for the loads in the middle of the next window.
+        """Send entries for the loads in the middle of the next windows.
 
-        A channel is released when the filter of the free bender has faded in.
+        Each contactor gets one in one of `GUARD_WINDOWS` windows, and at once where its guard is
+        armed, disarmed or released, as from the product's playback. A channel is released when the
+        filter of the free bender has faded in.
         """
-        loads = self._ahead(2.0)
+        loads = self._ahead(1.5 + GUARD_WINDOWS / 2)
         filters = self._design.filters(loads, estimate.capacitance)
         armed = estimate.touching & (estimate.inconsistency <= CONSISTENT)
         n, unit = len(armed), self._unit
@@ -129,13 +143,19 @@ class GuardedLoop(Loop):
             limit=filters.limit / unit, share=np.full(n, filters.share),
             floor=filters.floor / unit**2,
         )  # fmt: skip
-        self._guard.take(0, entries)
+        turn = (np.arange(n) + self._windows) % GUARD_WINDOWS == 0
+        due = turn | (self._held > 2) | (armed != self._armed)
+        self._windows, self._armed = self._windows + 1, armed
+        for first in np.flatnonzero(due):
+            self._guard.take(int(first), entries[first : first + 1])
 
     def _scale(self, first: int, samples: int) -> Floats:
-        """Return the scale of the loads (S, N), 0 after a finger has left."""
+        """Return the scale of the loads (S, N), 0 while a finger is away."""
         time = (first + np.arange(samples) - self.plant.delay + 1) / RATE
-        left = np.clip((time[:, None] - self._lift) / LOSS, 0, 1)
-        return super()._scale(first, samples) * (1 - left)
+        left, back = (
+            np.clip((time[:, None] - begin) / LOSS, 0, 1) for begin in (self._lift, self._retouch)
+        )
+        return super()._scale(first, samples) * (1 - left + back)
 
     def _put_out(self, begin: int, drive: Floats) -> tuple[Floats, Floats]:
         """Put out the drive of a window block by block, each with the gains of the guards."""
@@ -175,6 +195,11 @@ class GuardedLoop(Loop):
         after = time[:, None] >= self._lift
         self.largest = np.maximum(self.largest, np.where(after, np.abs(shear), 0).max(axis=0))
 
+    @property
+    def gain(self) -> Floats:
+        """Present gains of the amplifier, (N,)."""
+        return np.asarray(self._gain[-1])
+
     def play(self) -> "GuardedLoop":
         """Play to the end."""
         for _ in self.run():
@@ -203,7 +228,28 @@ def measure_guard() -> Iterator[Figure]:
     yield Figure("guard, lift-off: largest displacement of the others", rest, "µm")
     commanded = 1e6 * float(np.abs(loop.commanded).max())
     yield Figure("guard, lift-off: largest commanded displacement", commanded, "µm")
+    yield from _retouch(case, converter)
     yield from _overshoot(converter)
+
+
+def _retouch(case: Case, converter: Converter) -> Iterator[Figure]:
+    """Yield how soon what is commanded is played again when fingers come back.
+
+    An error is the level of what is played at `FREQUENCY`, with the gain of the guard.
+    """
+    n = len(case.logarithms)
+    random = np.random.default_rng(2)
+    for away in AWAY:
+        lift = 0.6 + 0.05 * random.random(n)
+        retouch = lift + away
+        loop = GuardedLoop(case, converter, lift=lift, retouch=retouch, force=steady, seconds=1.4)
+        errors = np.full((n, len(FREQUENCY)), np.nan)
+        for moment in loop.run():
+            new = np.isnan(errors[:, 0]) & (moment.time >= retouch + LOSS + RETOUCHED)
+            level = moment.error + 20 * np.log10(loop.gain)[:, None]
+            errors[new] = np.abs(level[new])
+        name = f"guard, touched again after {1e3 * away:.0f} ms: p95 {RETOUCHED:g} s later"
+        yield at_most(name, float(np.percentile(errors, 95)), "dB", 3.0)
 
 
 def _overshoot(converter: Converter) -> Iterator[Figure]:

@@ -67,15 +67,15 @@ def test_windows_of_currents_by_hand() -> None:
 def test_guards_by_hand() -> None:
     """Six packets of 284 B for 24 channels, 287 with COBS and 0x00, 20 times a second.
 
-    On CAN FD each takes 4 frames of 64 bytes and one of 48. On I²C at 1 MHz, whose transfers have
-    220 B at most, a packet has 3 channels, and one of 216 B takes 2 + 9 × 217 bits.
+    On CAN FD each takes 4 frames of 64 bytes and one of 48. On I²C at 1 MHz two channels take
+    longer than 1 ms, so that a packet has one, and its 80 B take 2 + 9 × 81 bits.
     """
     assert guard_use(Uart(3e6), 24, EVERYTHING, 25) == pytest.approx(10 * 6 * 287 * 20 / 3e6)
     frames = [*[fd_estimate(64, "mean")] * 4, fd_estimate(48, "mean")]
     seconds = sum(frame.seconds(1e6, 5e6) for frame in frames)
     fd = Can(1e6, 5e6)
     assert guard_use(fd, 24, EVERYTHING, 25) == pytest.approx(6 * seconds * 20)
-    assert guard_use(I2c(1e6), 6, EVERYTHING, 25) == pytest.approx(2 * (2 + 9 * 217) * 20 / 1e6)
+    assert guard_use(I2c(1e6), 6, EVERYTHING, 25) == pytest.approx(6 * (2 + 9 * 81) * 20 / 1e6)
     assert guard_use(I2c(100e3), 1, EVERYTHING, 25) == pytest.approx((2 + 9 * 81) * 20 / 100e3)
     for link in (fd, Uart(3e6)):
         coding, part = Coding(BFP8, 8000), guard_use(link, 24, EVERYTHING, 25)
@@ -98,16 +98,21 @@ def test_guards_are_sent_only_beside_windows_and_to_amplifiers_that_have_them() 
     assert guard_use(fd, 1, Ability(packet_limit=80), 25) > 0
 
 
-def guard_packets(channels: int, rng: np.random.Generator) -> list[Packet]:
-    """Return the GUARDs for four channels each, with entries as a finger gives them."""
+def guard_packets(channels: int, rng: np.random.Generator, link: Link) -> list[Packet]:
+    """Return GUARDs with entries as a finger gives them.
+
+    They have four channels each; on classic CAN and a UART of 1 Mbit/s one, since two channels
+    would take more than 1 ms.
+    """
+    group = 1 if link.name in ("CAN 1 Mbit/s", "UART 1 Mbit/s") else 4
     taps = rng.normal(0, 0.02, (2, channels, 13))
     some = rng.uniform(1, 500, (3, channels))
     entries = guard.encode(
         np.ones(channels, np.int64), poles=rng.uniform(-1.9, 1.9, (channels, 2)), drive=taps[0],
         change=taps[1], limit=some[0], share=some[1] / 1e4, floor=some[2] * 1e4,
     )  # fmt: skip
-    parts = [entries[first : first + 4] for first in range(0, channels, 4)]
-    messages = [m.Guard(4711, 4 * k, len(part), part.tobytes()) for k, part in enumerate(parts)]
+    parts = [entries[first : first + group] for first in range(0, channels, group)]
+    messages = [m.Guard(4711, group * k, len(part), part.tobytes()) for k, part in enumerate(parts)]
     return [Packet.of(message, node=1, seq=k) for k, message in enumerate(messages)]
 
 
@@ -122,7 +127,9 @@ def test_guards_take_what_their_encoded_packets_take(link: Link, channels: int) 
     """
     rng = np.random.default_rng(channels)
     times = 20
-    taken = sum(exact_seconds(link, p) for _ in range(times) for p in guard_packets(channels, rng))
+    taken = sum(
+        exact_seconds(link, p) for _ in range(times) for p in guard_packets(channels, rng, link)
+    )
     assert guard_use(link, channels, EVERYTHING, 25) == pytest.approx(20 * taken / times, rel=0.03)
 
 
@@ -314,8 +321,8 @@ def test_a_plan_fits_when_its_packets_are_made(link: Link, channels: int) -> Non
 def test_a_plan_fits_beside_real_windows_and_guards(link: Link, channels: int) -> None:
     """Packets of our encoders with their own stuff bits fit in both directions.
 
-    Within 1.5 %: a packet's head of small numbers has more stuff bits than random data, and
-    packets of few channels are mostly head. The largest excess, 0.8 %, is that of classic CAN.
+    Within 2 %: a packet's head of small numbers has more stuff bits than random data, and packets
+    of few channels are mostly head. The largest excess, 1.7 %, is that of classic CAN with two.
     """
     found = planned(link, channels, correlation_ms=25)
     if isinstance(found, BudgetError):
@@ -334,12 +341,12 @@ def test_a_plan_fits_beside_real_windows_and_guards(link: Link, channels: int) -
 
     out = seconds(lambda: packets(found, channels, rng))
     out *= found.sample_rate / found.packet_samples
-    out += 20 * seconds(lambda: guard_packets(channels, rng))
+    out += 20 * seconds(lambda: guard_packets(channels, rng, link))
     out += 20 * seconds(lambda: [Packet.of(m.Heartbeat(4711), node=1)])
     back = 40 * seconds(windows)
     back += 100 * seconds(lambda: [Packet.of(m.Pulse(12345678, 2, 2), node=1)])
     ways = [out + back] if isinstance(link, Can) else [out, back]
-    assert max(ways) <= 1.015 * link.cap
+    assert max(ways) <= 1.02 * link.cap
     assert ways[0] == pytest.approx(found.use, rel=0.03)
 
 

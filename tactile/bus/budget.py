@@ -64,6 +64,9 @@ GUARD_CHANNELS = 4
 
 A packet of 284 bytes then delays the drive by less than 1 ms on a UART of 3 Mbit/s and on CAN FD.
 """
+GUARD_TIME = 1e-3
+"""Time that a GUARD may take on a slow link, unless it has one channel only: so long the drive
+waits for it, whose lead is 6 ms at least [s]."""
 BOARD_CHANNELS = 255
 """Largest number of channels of an amplifier (u8).
 
@@ -365,13 +368,33 @@ def reply_use(
     return windows, windows + others
 
 
+def guard_group(link: Link) -> int:
+    """Return the largest number of channels of a GUARD, for which the drive has to wait.
+
+    Parameters
+    ----------
+    link : Link
+        Link to the amplifiers.
+
+    Returns
+    -------
+    int
+        As many channels as take `GUARD_TIME`, `GUARD_CHANNELS` at most and one at least.
+    """
+    for channels in range(GUARD_CHANNELS, 1, -1):
+        message = m.Guard(0, 0, channels, bytes(channels * guard.ENTRY.itemsize))
+        if link.seconds(_packet(message)) <= GUARD_TIME:
+            return channels
+    return 1
+
+
 def _guard_size(channels: int) -> int:
     """Return the length of a GUARD of some channels [bytes]."""
     return SMALLEST + m.Guard.HEAD.size + channels * guard.ENTRY.itemsize
 
 
 @lru_cache(maxsize=64)
-def guards_of(channels: int, limit: int) -> tuple[bytes, ...]:
+def guards_of(channels: int, limit: int, group: int = GUARD_CHANNELS) -> tuple[bytes, ...]:
     """Return the packets in which one amplifier receives the GUARD entries of all its channels.
 
     The content of the entries is zero.
@@ -382,6 +405,8 @@ def guards_of(channels: int, limit: int) -> tuple[bytes, ...]:
         Number of channels of the amplifier.
     limit : int
         Largest size of a packet [bytes].
+    group : int
+        Largest number of channels of a packet.
 
     Returns
     -------
@@ -390,7 +415,7 @@ def guards_of(channels: int, limit: int) -> tuple[bytes, ...]:
     """
     if limit < _guard_size(1):
         return ()
-    entries, largest = np.zeros(channels, guard.ENTRY), min(limit, _guard_size(GUARD_CHANNELS))
+    entries, largest = np.zeros(channels, guard.ENTRY), min(limit, _guard_size(group))
     messages = guard.messages_of(1, entries, largest, channels=range(channels))
     return tuple(map(_packet, messages))
 
@@ -418,9 +443,10 @@ def guard_use(link: Link, channels: int, ability: Ability, correlation_ms: int) 
         return 0.0
     # an entry goes in one piece, even where the link prefers smaller packets
     limit = min(max(link.largest(), _guard_size(1)), ability.packet_limit)
-    boards = Counter(ability.shares(channels)).items()
-    seconds = (n * sum(map(link.mean_seconds, guards_of(share, limit))) for share, n in boards)
-    return sum(seconds) / GUARD_INTERVAL
+    group, seconds = guard_group(link), 0.0
+    for share, boards in Counter(ability.shares(channels)).items():
+        seconds += boards * sum(map(link.mean_seconds, guards_of(share, limit, group)))
+    return seconds / GUARD_INTERVAL
 
 
 @lru_cache(maxsize=16)

@@ -17,14 +17,13 @@ import numpy as np
 from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.capabilities import caps_fault
-from firmware_protocol.guard import ENTRY
 from firmware_protocol.host import BY_HOST, refusal
 from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
-from firmware_protocol.packet import Packet, encode_packet
+from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
 from tactile.bus.amplifier_guards import AmplifierGuards
 from tactile.bus.base import Wiring
-from tactile.bus.budget import Plan, check_limits
+from tactile.bus.budget import Plan, check_limits, guard_group
 from tactile.bus.correlations import MeasurementQueue, WindowDecoder
 from tactile.bus.guards import GuardSettings
 from tactile.bus.link.notes import LinkNotes
@@ -34,7 +33,6 @@ from tactile.bus.link.queries import RETRY
 from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
 from tactile.bus.link.stream import LinkBusCounters, LinkStream
 from tactile.bus.wire import FragmentWatch, Wire
-from tactile.bus.wire_time import Link
 from tactile.errors import InputError
 
 SEARCH = 0.06
@@ -51,10 +49,6 @@ QUEUED = 50e-3
 for longer would keep an amplifier playing for too long after the host (SPEC.md, 14) [s]."""
 HELD = 2e-3
 """Time that packets given to the wire may still take when the next one is given to it [s]."""
-GUARD_MOST, GUARD_TIME = 4, 1e-3
-"""Largest number of channels of a GUARD, whose 284 bytes take 1 ms at 3 Mbit/s, and the time that
-it may take on a slower link, unless it has one channel only: so long the drive waits for it, whose
-lead is 6 ms at least [s]."""
 LATCHED = (State.ESTOP, State.FAULT)
 """States that only CLEAR_FAULT ends."""
 MOVING = (State.RUNNING, State.RAMPDOWN)
@@ -481,7 +475,7 @@ class LinkSession:
 
     def _send_guards(self, now: float, wire: Wire) -> None:
         """Send settings of guards, which nobody confirms, after all else, packet by packet."""
-        most = _guard_group(wire.link) if self._guards_wait else 0
+        most = guard_group(wire.link) if self._guards_wait else 0
         while self._guards_wait and now >= self._wire_free - HELD and not wire.busy:
             self._send(self._next_guard(most), now, wire)
 
@@ -820,12 +814,3 @@ class LinkSession:
     def _moving(self) -> bool:
         """Whether an amplifier plays or ramps by its latest report."""
         return any(peer.state in MOVING for peer in self.peers)
-
-
-def _guard_group(link: Link) -> int:
-    """Return the largest number of channels of a GUARD that takes `GUARD_TIME` at most, or 1."""
-    for channels in range(GUARD_MOST, 1, -1):
-        message = m.Guard(0, 0, channels, bytes(channels * ENTRY.itemsize))
-        if link.seconds(encode_packet(Packet.of(message))) <= GUARD_TIME:
-            return channels
-    return 1

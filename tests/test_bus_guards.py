@@ -216,6 +216,22 @@ def test_buses_that_do_not_correlate_have_no_guards(
     assert m.Guard.TYPE not in {packet.type for packet, _ in heard}
 
 
+def test_a_driver_is_told_only_while_the_bus_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[GuardSettings] = []
+    settings = settings_of([0, 1])
+    with open_bus(LINKS["none"], Panel(channels=2)) as bus:
+        monkeypatch.setattr(bus, "_set_guards", told.append)
+        bus.set_guards(settings)
+        assert told == []
+        bus.start()
+        bus.set_guards(settings)
+        assert told == [settings]
+        bus.estop()
+        bus.set_guards(settings)
+    bus.set_guards(settings)
+    assert told == [settings]
+
+
 @EVERY
 def test_nothing_is_sent_before_a_window_or_while_idle(
     link: str, monkeypatch: pytest.MonkeyPatch
@@ -431,6 +447,29 @@ def test_a_fast_link_takes_four_channels_at_once(monkeypatch: pytest.MonkeyPatch
     assert [(g.first_channel, g.channels) for g in sent.guards()] == [(0, 4), (4, 4), (8, 2)]
 
 
+def test_boards_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_bus(BOARDS, Panel(channels=30), sample_rate=4000) as bus:
+        drive = Played(bus).play(0.2)
+        sent = Sent(bus, monkeypatch)
+        bus.set_guards(settings_of(list(range(30)), armed=False))
+        drive.play(0.1)
+    nodes = [packet.node for packet in sent.packets if packet.type == m.Guard.TYPE]
+    assert len(nodes) >= 8
+    assert nodes == [1, 2] * (len(nodes) // 2)
+
+
+def test_a_link_wakes_for_settings_that_wait() -> None:
+    """Nothing is written, and nothing else is due, while the rest of the settings is sent."""
+    with slow_link() as bus:
+        Played(bus).play(0.2)
+        session, clock = cast(ModeledBus, bus)._session, cast(ModeledBus, bus).model.clock
+        bus.set_guards(settings_of(list(range(4))))
+        assert waiting(bus)
+        while waiting(bus):
+            assert session.deadline <= session._wire_free
+            cast(ModeledBus, bus)._turn(clock.now() + 1.0)
+
+
 def test_lost_settings_and_reports_break_nothing() -> None:
     """What is in force has come whole, and the last report that came says what is so."""
     with open_bus(LINKS["serial"] + "&loss=0.05&seed=3", Panel(channels=2)) as bus:
@@ -519,7 +558,11 @@ def test_what_waits_is_forgotten_when_playing_ends(
         assert waiting(bus)
         if end == "unplug":
             cast(ModeledBus, bus).model.unplug(0.02)
-            drive.play(0.15)
+            drive.play(0.01)
+            assert bus.status.link == "down"
+            bus.set_guards(settings_of(list(range(4))))
+            assert not waiting(bus)
+            drive.play(0.14)
             assert bus.counters.disconnects == 1
             assert bus.status.playing
         else:

@@ -214,6 +214,7 @@ class LinkSession:
         elif self.phase is SessionPhase.RUN:
             self._known_to_run = min(peer.last_received for peer in self.peers)
         self.phase = SessionPhase.DOWN
+        self._forget_guards()
         if self.goal is Goal.RUN and self._first is not None:
             self.goal, self.refusal = Goal.READY, why
 
@@ -484,6 +485,11 @@ class LinkSession:
         """Whether settings of guards wait; an e-stop, also in a signal handler, ends that."""
         return any(guards.waits for guards in self._guards.values())
 
+    def _forget_guards(self) -> None:
+        """Drop the settings of guards that wait."""
+        for guards in self._guards.values():
+            guards.forget()
+
     def _next_guard(self, most: int) -> list[Packet]:
         """Return a GUARD to the next amplifier for which one waits."""
         for turn in range(self._guard_turn, self._guard_turn + len(self.peers)):
@@ -550,8 +556,7 @@ class LinkSession:
     def _enter(self, phase: SessionPhase, now: float) -> None:
         """Begin a phase: make its requests to all amplifiers."""
         self.phase, self._until = phase, math.inf
-        for guards in self._guards.values():
-            guards.forget()
+        self._forget_guards()
         if phase is SessionPhase.SEARCH:
             self._until = now
         requests: dict[SessionPhase, Callable[[], list[Message]]] = {

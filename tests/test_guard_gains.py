@@ -26,7 +26,7 @@ def of(*contactors: int) -> NDArray[np.bool_]:
     return np.isin(np.arange(COUNT), contactors)
 
 
-def told(*reports: tuple[int, NDArray[np.bool_]]) -> GuardGains:
+def reported(*reports: tuple[int, NDArray[np.bool_]]) -> GuardGains:
     gains = GuardGains(COUNT, RATE)
     for position, tripped in reports:
         gains.report(position, ALL, tripped)
@@ -34,7 +34,7 @@ def told(*reports: tuple[int, NDArray[np.bool_]]) -> GuardGains:
 
 
 def test_without_a_report_all_gains_are_full() -> None:
-    gains = told()
+    gains = reported()
     assert gains.gains(-100, 1000) is None
     assert gains.gains(10**9, 1000) is None
     assert not gains.tripped.any()
@@ -43,7 +43,7 @@ def test_without_a_report_all_gains_are_full() -> None:
 
 def test_a_gain_falls_within_a_millisecond_and_rises_within_fifty() -> None:
     """The figures are those of section 17.4, computed here by hand."""
-    played = told((1000, of(1)), (1100, NONE)).gains(990, 600)
+    played = reported((1000, of(1)), (1100, NONE)).gains(990, 600)
     assert played is not None
     np.testing.assert_array_equal(played[:, [0, 2]], 1.0)
     one = played[:, 1]
@@ -78,7 +78,7 @@ def test_gains_are_those_of_the_amplifier() -> None:
 
 
 def test_trips_are_counted_once() -> None:
-    gains = told((100, of(0)), (200, of(0, 1)), (300, of(1)), (400, of(0, 1)))
+    gains = reported((100, of(0)), (200, of(0, 1)), (300, of(1)), (400, of(0, 1)))
     assert gains.trips.tolist() == [2, 1, 0]
     assert gains.latest.tolist() == [400, 200, BEFORE_ALL]
     assert gains.tripped.tolist() == [True, True, False]
@@ -89,7 +89,7 @@ def test_trips_are_counted_once() -> None:
 
 
 def test_an_old_report_that_comes_late_does_not_undo_a_newer_one() -> None:
-    gains = told((400, NONE), (300, of(0)))
+    gains = reported((400, NONE), (300, of(0)))
     assert not gains.tripped.any()
     played = gains.gains(200, 1000)
     assert played is not None
@@ -106,7 +106,7 @@ def test_reports_of_other_contactors_change_nothing() -> None:
 
 def test_where_a_report_was_lost_the_flags_of_the_window_tell() -> None:
     """Lose the report of a trip: the gain falls as the window begins, and is exact later."""
-    gains = told()
+    gains = reported()
     assert gains.correct(800, 200, of(2))
     assert gains.trips.tolist() == [0, 0, 1]
     assert gains.latest[2] == 800
@@ -122,7 +122,7 @@ def test_where_a_report_was_lost_the_flags_of_the_window_tell() -> None:
 
 def test_flags_of_currents_that_come_late_correct_nothing() -> None:
     """Flags may be of instants up to 200 samples after those of the window."""
-    gains = told((1000, of(1)), (1400, NONE))
+    gains = reported((1000, of(1)), (1400, NONE))
     assert gains.gains(800, 100) is None
     for position in range(800, 2200, 100):
         for flags in (NONE, of(1)):

@@ -79,8 +79,8 @@ class SimOptions(Options, frozen=True, kw_only=True):
     tolerance : int or None
         Seed of benders that differ; by default all are as designed.
     hysteresis : float
-        Width of the ceramic's loop at the voltage limit, as a fraction of its swing; 0.12 to 0.15
-        is usual.
+        Width of the ceramic's loop at the largest voltage that its layers bear, as a fraction of
+        its swing; 0.12 to 0.15 is usual.
     correlation_ms : int or None
         Length of the windows of correlated currents, of whole samples [ms]; by default the
         amplifier does not measure. It has a range of ±2.5 mA and 12 bits with noise.
@@ -346,7 +346,8 @@ def changing_plant(display: Display, sample_rate: float, options: SimOptions) ->
     if options.tolerance is not None:
         tolerances = Tolerances.drawn(contactors, options.tolerance)
     if options.hysteresis > 0:
-        hysteresis = Hysteresis(width=options.hysteresis, full_drive=display.limits.voltage)
+        full = 1 / display.actuator.overload(1.0)[0]
+        hysteresis = Hysteresis(width=options.hysteresis, full_drive=full)
     return TouchedPlant(
         display.bimorph,
         Touch(load=_finger(options.finger, display), force=force),

@@ -76,9 +76,15 @@ def test_tolerance_is_the_seed_of_the_benders(display: Display) -> None:
     np.testing.assert_allclose(played(bus), exact, rtol=0, atol=1e-11 * np.abs(exact).max())
 
 
-def test_hysteresis_is_full_at_the_voltage_limit(display: Display) -> None:
+@pytest.mark.parametrize("limit", [100.0, 60.0])
+def test_hysteresis_is_full_at_the_largest_voltage(display: Display, limit: float) -> None:
+    """The loop is that of the ceramic and does not change with the limit of the display.
+
+    400 V/mm are 104 V over the default layers of 0.26 mm.
+    """
+    display = replace(display, limits=replace(display.limits, voltage=limit))
     found = played(opened(display, "sim:?hysteresis=0.12"))
-    hysteresis = Hysteresis(width=0.12, full_drive=display.limits.voltage)
+    hysteresis = Hysteresis(width=0.12, full_drive=104.0)
     exact = expected(display, Touch(load=FingerLoad.high()), hysteresis)
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-11 * np.abs(exact).max())
     linear = expected(display, Touch(load=FingerLoad.high()))

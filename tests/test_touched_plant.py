@@ -503,8 +503,8 @@ def test_loop_narrows_with_the_amplitude_and_vanishes() -> None:
     """A smaller loop is narrower; below the smallest radius the plant is linear, to 1e-12."""
     _, displacement, _ = slow_loop(50.0)
     assert 0.04 < (displacement[800] - displacement[0]) / np.ptp(displacement) < 0.09
-    _, small, _ = slow_loop(9.0)
-    _, smaller, _ = slow_loop(0.9)
+    _, small, _ = slow_loop(0.06)
+    _, smaller, _ = slow_loop(0.006)
     assert largest(small, 10 * smaller) < 1e-12
 
 

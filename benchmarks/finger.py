@@ -21,7 +21,7 @@ from firmware_protocol.correlation import Correlator
 from tactile.arrays import Floats
 from tactile.bench.figures import Figure, at_least, at_most, seconds
 from tactile.sensing.calibration import LARGEST, MeasuringLimits
-from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow
+from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, during
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.finger_drive import measuring_drive
 from tactile.sensing.population import Population, load_stiffness
@@ -58,7 +58,14 @@ def windows_of(plant: SensingPlant, drive: Floats, scale: Floats | None = None) 
     for k, begin in enumerate(range(0, len(drive), WINDOW)):
         steps = np.diff(played[begin : begin + lead + WINDOW + MARGIN], axis=0).T
         windows.append(
-            SumWindow(sums[k], steps[:, EARLIER:], 2 * rounding[k], ~clipped[k], steps[:, :EARLIER])
+            SumWindow(
+                sums[k],
+                during(steps[:, EARLIER:]),
+                steps[:, EARLIER:],
+                2 * rounding[k],
+                ~clipped[k],
+                steps[:, :EARLIER],
+            )
         )
     return windows
 

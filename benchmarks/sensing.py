@@ -31,10 +31,11 @@ from tactile.rendering.equalizer import Equalizer, FollowingEqualizer, InverseFi
 from tactile.sensing.baseline import NEAR, Baseline, fit_baseline
 from tactile.sensing.bender import Deviations
 from tactile.sensing.calibration import calibration_lines
-from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, step_products
+from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, during, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import LoadEstimator
 from tactile.sensing.excitation import TONES, VOLTS
+from tactile.sensing.hysteresis import Hysteresis
 from tactile.sensing.inverse_mix import InverseMix
 from tactile.sensing.population import Population
 from tactile.sensing.uncertainty import shear_deviation
@@ -213,7 +214,7 @@ def _as_designed() -> Baseline:
     one = np.ones(1)
     return Baseline(
         design(), Deviations(one, one, one), 0 * one, np.zeros((1, 7), np.complex128),
-        one, 0 * one, ("",),
+        one, 0 * one, ("",), Hysteresis.none(1),
     )  # fmt: skip
 
 
@@ -255,7 +256,8 @@ def _update_cost(contactors: int) -> Iterator[Figure]:
     steps = rng.standard_normal((contactors, AFTER + WINDOW + MARGIN))
     drawn = model.electrical + model.weights(case.logarithms) @ model.shared
     window = SumWindow(
-        np.einsum("nml,nm->nl", step_products(steps, WINDOW), drawn),
+        np.einsum("nml,nm->nl", step_products(steps, during(steps)), drawn),
+        during(steps),
         steps,
         np.zeros(contactors),
         np.ones(contactors, np.bool_),

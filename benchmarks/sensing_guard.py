@@ -259,7 +259,7 @@ def _overshoot(converter: Converter) -> Iterator[Figure]:
     ((k1, d1),) = high.branches
     constants = np.array([high.k0, high.d0, k1, d1], np.float64)
     loads = np.tile(np.log(constants), (CONTACTORS, 1))
-    stiff = Case(case.fingers, case.array, case.baseline, case.tolerances, loads)
+    stiff = replace(case, logarithms=loads)
     lift = 0.7 + 0.1 * np.random.default_rng(1).random(CONTACTORS)
     for guarded in (True, False):
         name = "guard, 2 µm at 920 Hz under a high finger, largest displacement at lift-off"

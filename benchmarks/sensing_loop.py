@@ -15,7 +15,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 import tactile
-from benchmarks.sensing_plant import REACH, Converter, Fingers, PlantTolerances, SensingPlant
+from benchmarks.sensing_plant import (
+    REACH,
+    Converter,
+    Fingers,
+    PlantTolerances,
+    SensingPlant,
+    friction_strengths,
+)
 from firmware_protocol.correlation import Correlator, decode, messages_of
 from firmware_protocol.messages import FULL_SCALE_CODE, PACKET_MAX, Window
 from tactile.actuator.amplifier import Amplifier
@@ -26,11 +33,13 @@ from tactile.sensing.admittance import AirWindows, measure_admittances
 from tactile.sensing.baseline import Baseline, fit_baseline
 from tactile.sensing.bender import Bender, Deviations, bender_of
 from tactile.sensing.calibration import CalibrationPlan, MeasuringLimits, plan_calibration
-from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
+from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, during
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import Estimate, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
+from tactile.sensing.hysteresis import Hysteresis, HysteresisStream
 from tactile.sensing.inverse_mix import InverseMix
+from tactile.sensing.loop_tones import LoopPlan, fit_hysteresis, plan_loops
 from tactile.sensing.population import Population
 
 RATE = 8000.0
@@ -70,6 +79,8 @@ class Case:
         Deviations of the contactors.
     logarithms : (N, 4) array of float
         Logarithms of the constants of the loads at 1 N.
+    strength : (ELEMENTS, N) array of float or None
+        Strengths of the hysteresis; None without.
     """
 
     fingers: int
@@ -77,6 +88,7 @@ class Case:
     baseline: Baseline
     tolerances: PlantTolerances
     logarithms: Floats
+    strength: Floats | None
 
 
 def design() -> Bender:
@@ -110,7 +122,9 @@ def reported(
     return np.array(sums), np.array(rounding), np.array(clipped)
 
 
-def air_windows(plan: CalibrationPlan, converter: Converter, current: Floats) -> AirWindows:
+def air_windows(
+    plan: CalibrationPlan | LoopPlan, converter: Converter, current: Floats
+) -> AirWindows:
     """Return the windows of a plan's current (S, N), as the reference amplifier reports them."""
     n = current.shape[1]
     drive = np.repeat(plan.drive[:, None], n, axis=1)
@@ -125,28 +139,62 @@ def planned(converter: Converter) -> CalibrationPlan:
     return plan_calibration(design(), RATE, limits, window=WINDOW)
 
 
-def calibrate(tolerances: PlantTolerances, converter: Converter, seed: int) -> Baseline:
-    """Measure the baseline of contactors in air."""
-    n, plan = len(tolerances.mass), planned(converter)
-    plant = SensingPlant(
-        Fingers(*np.ones((4, n))), tolerances, converter=converter, sample_rate=RATE, seed=seed
+def planned_loops(converter: Converter) -> LoopPlan:
+    """Return the drive that measures the hysteresis."""
+    limits = MeasuringLimits(current=converter.range, voltage=VOLTAGE, slew=0.7e6)
+    return plan_loops(design().capacitance, RATE, limits, window=WINDOW)
+
+
+def calibrate(
+    tolerances: PlantTolerances,
+    converter: Converter,
+    seed: int,
+    strength: Floats | None = None,
+    *,
+    modeled: bool = True,
+) -> Baseline:
+    """Measure the baseline of contactors in air, and their hysteresis if it is to be modeled."""
+    n, plan, loops = len(tolerances.mass), planned(converter), planned_loops(converter)
+
+    def windows_of(plan: CalibrationPlan | LoopPlan) -> AirWindows:
+        """Play a drive on contactors in air."""
+        plant = SensingPlant(
+            Fingers(*np.ones((4, n))), tolerances,
+            converter=converter, sample_rate=RATE, seed=seed, strength=strength,
+        )  # fmt: skip
+        plant.scale[:] = 0
+        longer = np.concatenate([np.rint(plan.drive / CODE) * CODE, np.zeros(plant.delay)])
+        _, current = plant.step(np.repeat(longer[:, None], n, axis=1))
+        return air_windows(plan, converter, current[plant.delay :])
+
+    hysteresis = fit_hysteresis(loops, windows_of(loops)) if modeled else Hysteresis.none(n)
+    found = measure_admittances(
+        plan, windows_of(plan), np.rint(plan.drive / CODE) * CODE, hysteresis
     )
-    plant.scale[:] = 0
-    played = np.rint(plan.drive / CODE) * CODE
-    longer = np.concatenate([played, np.zeros(plant.delay)])
-    _, current = plant.step(np.repeat(longer[:, None], n, axis=1))
-    windows = air_windows(plan, converter, current[plant.delay :])
-    found = measure_admittances(plan, windows, played)
     return fit_baseline(
-        found.frequency, found.value, design(), deviation=found.deviation, clipped=found.clipped
-    )
+        found.frequency, found.value, design(),
+        deviation=found.deviation, clipped=found.clipped, hysteresis=hysteresis,
+    )  # fmt: skip
 
 
-def draw_case(fingers: int, contactors: int, converter: Converter, seed: int) -> Case:
-    """Draw random contactors, calibrate them, and draw random fingers."""
+def draw_case(
+    fingers: int,
+    contactors: int,
+    converter: Converter,
+    seed: int,
+    *,
+    width: float = 0.0,
+    modeled: bool = True,
+) -> Case:
+    """Draw random contactors, calibrate them, and draw random fingers.
+
+    ``width`` is that of the hysteresis at ±100 V, and ``modeled`` whether the calibration measures
+    it.
+    """
     rng = np.random.default_rng(seed)
     tolerances = PlantTolerances.drawn(contactors, rng)
-    one = calibrate(tolerances, converter, seed + 1)
+    strength = friction_strengths(width, contactors, np.random.default_rng(seed)) if width else None
+    one = calibrate(tolerances, converter, seed + 1, strength, modeled=modeled)
     population = Population.assumed()
     common = rng.multivariate_normal(population.mean, population.covariance, fingers)
     n = fingers * contactors
@@ -157,17 +205,19 @@ def draw_case(fingers: int, contactors: int, converter: Converter, seed: int) ->
     tolerances = PlantTolerances(
         *(np.tile(values, fingers) for values in (t.stiffness, t.coupling, t.mass, t.cable))
     )
-    return Case(fingers, one, repeated(one, fingers), tolerances, logarithms)
+    strength = None if strength is None else np.tile(strength, (1, fingers))
+    return Case(fingers, one, repeated(one, fingers), tolerances, logarithms, strength)
 
 
 def repeated(one: Baseline, fingers: int) -> Baseline:
     """Return the baseline of the contactors of one finger, repeated for several."""
-    d = one.deviations
+    d, h = one.deviations, one.hysteresis
+    h = Hysteresis(np.tile(h.radii, (fingers, 1)), np.tile(h.weights, (fingers, 1)))
     tiled = [np.tile(values, fingers) for values in (d.stiffness, d.coupling, d.loss)]
     return Baseline(
         one.bender, Deviations(*tiled), np.tile(one.skew, fingers),
         np.tile(one.capacitance, (fingers, 1)), np.tile(one.resonance, fingers),
-        np.tile(one.residual, fingers), one.faults * fingers,
+        np.tile(one.residual, fingers), one.faults * fingers, h,
     )  # fmt: skip
 
 
@@ -263,7 +313,7 @@ class Loop:
         self._converter, n = converter, len(case.logarithms)
         self.plant = SensingPlant(
             Fingers(*np.exp(case.logarithms).T), case.tolerances,
-            converter=converter, sample_rate=RATE, seed=5,
+            converter=converter, sample_rate=RATE, seed=5, strength=case.strength,
         )  # fmt: skip
         population = Population.assumed()
         model = CurrentModel(case.array, population, RATE)
@@ -277,6 +327,10 @@ class Loop:
         start = self.mix.taps(np.tile(population.mean, (n, 1)))
         self._equalizer, self._taps, self._next = FollowingEqualizer(start), start, start
         self._drive = np.zeros((EARLIER + AFTER + 1 + 2 * WINDOW, n))
+        self._voltage = self._drive
+        hysteresis = case.baseline.hysteresis
+        self._drive_for = HysteresisStream(hysteresis.inverse())
+        self._effective = HysteresisStream(hysteresis)
         self._current = np.zeros((2 * WINDOW, n))
         self._correlator = Correlator(n)
         self._beyond: list[float] = []
@@ -317,7 +371,10 @@ class Loop:
 
     def _estimate(self, window: SumWindow) -> Estimate:
         """Update the estimator of each finger, and return all estimates as one."""
-        columns = [window.sums, window.steps, window.resolution, window.valid, window.earlier]
+        columns = [
+            window.sums, window.played, window.steps, window.resolution, window.valid,
+            window.earlier,
+        ]  # fmt: skip
         parts = zip(*(np.split(column, self.case.fingers) for column in columns), strict=True)
         estimates = [
             estimator.update(SumWindow(*part))
@@ -337,10 +394,12 @@ class Loop:
         drive = self._equalizer(shear, np.zeros(len(shear))).astype(np.float64)
         if self._piloted:
             drive += pilot(begin, len(shear), RATE, self._phases)
+        drive = self._drive_for(drive)
         self._beyond.append(float(np.mean(np.abs(drive) > VOLTAGE)))
         drive = np.rint(drive / CODE) * CODE
         drive, current = self._put_out(begin, drive)
         self._drive = np.concatenate([self._drive, drive])[len(drive) :]
+        self._voltage = np.concatenate([self._voltage, self._effective(drive)])[len(drive) :]
         self._current = np.concatenate([self._current, current])[len(current) :]
 
     def _scale(self, first: int, samples: int) -> Floats:
@@ -358,15 +417,18 @@ class Loop:
         """Return the window before the one that was played last."""
         end, late = len(self._drive) - WINDOW, self.plant.delay
         before = EARLIER + AFTER + 1
-        whole = np.diff(self._drive[end - WINDOW - before : end + MARGIN], axis=0).T
+        span = slice(end - WINDOW - before, end + MARGIN)
+        played = during(np.diff(self._drive[span], axis=0).T[:, EARLIER:])
+        whole = np.diff(self._voltage[span], axis=0).T
         earlier, steps = whole[:, :EARLIER], whole[:, EARLIER:]
         current = self._current[late : late + WINDOW]
         if self._rounded:
             sums, resolution = self._reported(self._drive[end - WINDOW : end], current)
         else:
-            sums = lag_sums(current.T, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
+            sums = lag_sums(current.T, played)
             resolution = np.zeros(len(sums))
-        return SumWindow(sums, steps, resolution, np.ones(len(sums), np.bool_), earlier)
+        valid = np.ones(len(sums), np.bool_)
+        return SumWindow(sums, played, steps, resolution, valid, earlier)
 
     def _reported(self, drive: Floats, current: Floats) -> tuple[Floats, Floats]:
         """Return sums and their resolution as the reference amplifier reports them."""

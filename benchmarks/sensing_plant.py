@@ -46,6 +46,10 @@ STATE = REST + 1
 """Length of the state. The voltage stands behind it."""
 RELAXATIONS = np.geomspace(0.05, 50e3, 13)
 """Relaxation frequencies of the dielectric, about two per decade [Hz]."""
+FULL_DRIVE, ELEMENTS = 100.0, 64
+"""Drive at which the hysteresis has its stated width [V], and number of its sliders."""
+SLIDERS = FULL_DRIVE * (np.arange(ELEMENTS + 1) / ELEMENTS) ** 2
+"""Bounds of the parts of the drive for each of which there is a slider [V]."""
 
 
 def reference_beam() -> ModuleType:
@@ -291,6 +295,63 @@ def debye(loss_tangent: float) -> Floats:
     )
 
 
+def friction_strengths(width: float, contactors: int, rng: np.random.Generator) -> Floats:
+    """Draw the strengths of sliders that are spread over the drive.
+
+    If all were equal, the loop would be that of Rayleigh: at the amplitude A its branches are apart
+    by s A²/2 of a swing of 2 A + s A², with the strength s per volt of limit. In a ceramic the
+    coercive fields of many domains make a smooth distribution.
+
+    Parameters
+    ----------
+    width : float
+        Distance between both branches of the loop at `FULL_DRIVE`, as a part of its swing.
+    contactors : int
+        Number of contactors N.
+    rng : Generator
+        Source of deviations: ±20 % of each contactor, and a slope and a bump over the drive by
+        ±20 % each (assumed).
+
+    Returns
+    -------
+    (ELEMENTS, N) array of float
+        Strength of each slider.
+    """
+    mean = 4 * width / (1 - 2 * width) * np.diff(SLIDERS)[:, None] / FULL_DRIVE
+    place = (SLIDERS[1:, None] + SLIDERS[:-1, None]) / (2 * FULL_DRIVE)
+    level, slope, bump = 0.2 * rng.uniform(-1, 1, (3, contactors))
+    shape = 1 + slope * (2 * place - 1) + bump * np.cos(3 * np.pi * place)
+    return np.asarray(mean * (1 + level) * shape)
+
+
+class Friction:
+    """Hysteresis of ceramics: springs and sliders in series, beside a spring (Maxwell slip).
+
+    The voltage over each spring that ends at a slider is limited, as the force over an element with
+    dry friction is.
+
+    Parameters
+    ----------
+    strength : (ELEMENTS, N) array of float
+        Strength of each slider.
+    """
+
+    def __init__(self, strength: Floats) -> None:
+        self._strength, contactors = strength, strength.shape[1]
+        self._limit = (SLIDERS[1:, None] + SLIDERS[:-1, None]) / 2
+        self._strain, self._last = np.zeros((ELEMENTS, contactors)), np.zeros(contactors)
+
+    def effective(self, volts: Floats) -> Floats:
+        """Return the effective voltage (S, N) of the next steps of the integration."""
+        out = np.empty_like(volts)
+        for k, row in enumerate(volts):
+            self._strain += row - self._last
+            np.clip(self._strain, -self._limit, self._limit, out=self._strain)
+            out[k] = row + np.einsum("en,en->n", self._strength, row - self._strain)
+            self._last = row
+        return out
+
+
 class SensingPlant:
     """Contactors under fingers, in time: drive in, shear and measured current out.
 
@@ -306,6 +367,8 @@ class SensingPlant:
         Sample rate of drive and current [Hz].
     seed : int
         Seed of the converter's noise.
+    strength : (ELEMENTS, N) array of float, optional
+        Strengths of the hysteresis between voltage and polarization; none by default.
 
     Attributes
     ----------
@@ -325,6 +388,7 @@ class SensingPlant:
         converter: Converter | None = None,
         sample_rate: float = 8000.0,
         seed: int = 0,
+        strength: Floats | None = None,
     ) -> None:
         beam, n = reference_beam().Beam(), len(tolerances.mass)
         self.fingers, self.converter = fingers, converter or Converter()
@@ -333,6 +397,7 @@ class SensingPlant:
         self._strengths = debye(beam.loss_tangent)
         self._h = 1 / (sample_rate * SUBSTEPS)
         self._rng = np.random.default_rng(seed)
+        self._friction = None if strength is None else Friction(strength)
         mode = _update(self.tip, self._h)
         self._port = np.sum(self.tip.shape**2 * mode.q_f1, axis=0) + self.tip.rest_uu
         self._advance = _Advance(self.tip, mode, fingers, self._port, self._h)
@@ -395,6 +460,8 @@ class SensingPlant:
         volts = self._interpolated(drive)
         if gain is not None:
             volts = volts * np.repeat(gain, SUBSTEPS, axis=0)
+        if self._friction is not None:
+            volts = self._friction.effective(volts)
         scales = np.repeat(self.scale[None], len(drive), 0) if scale is None else scale
         moved, charge = self._moved(volts, scales)
         line = np.concatenate([self._charges, charge + self._dielectric(volts)])

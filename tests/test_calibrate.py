@@ -15,9 +15,12 @@ import pytest
 from cli_rig import Command
 from display_files import contactors, load
 
+from tactile.actuator.finger import FingerLoad
+from tactile.actuator.hysteresis import RADII, Hysteresis
 from tactile.actuator.tolerances import Tolerances
 from tactile.bringup import current_measuring
 from tactile.bringup.calibrating import CalibrationReport, calibrate
+from tactile.bringup.finger_measuring import REPORTED, measure_finger
 from tactile.bus.base import Bus
 from tactile.devices import open_bus
 from tactile.errors import InputError
@@ -86,16 +89,73 @@ def test_the_calibration_finds_the_benders(
     assert d31 == pytest.approx(true.d31 / np.sqrt(true.mass), rel=0.02)
     noise = [one.noise_ua for one in report.contactors]
     assert noise == pytest.approx(np.full(4, 2500 / 2**11 * np.sqrt(1 + 1 / 12)), rel=0.15)
-    assert report.voltage_v <= 20
+    assert report.voltage_v == 100
+    assert [one.hysteresis_percent for one in report.contactors] == [0.0] * 4
     loaded = load_calibration(folder / "four.sensing.npz")
     assert np.array_equal(loaded.baseline.capacitance, calibration.baseline.capacitance)
 
 
+@pytest.fixture(scope="module")
+def looped(folder: Path) -> tuple[CalibrationReport, Calibration]:
+    """Return a calibration of the same benders with a hysteresis of 13 % at 104 V."""
+    return calibrate("sim:?finger=air&tolerance=5&hysteresis=0.13", display_file(folder))
+
+
+@pytest.mark.ci
+def test_hysteresis_is_measured_and_changes_nothing_else(
+    calibrated: tuple[CalibrationReport, Calibration],
+    looped: tuple[CalibrationReport, Calibration],
+) -> None:
+    """Compare with the loop of the plant's own plays, and with benders that have none."""
+    plays = Hysteresis(width=0.13, full_drive=104.0)
+    radii, limit = np.minimum(104.0 * RADII, 100.0), 100.0
+    apart = plays.weights @ np.minimum(radii, limit - radii)
+    width = apart / (limit + plays.weights @ (limit - radii))
+    report, plain = looped[0], calibrated[0]
+    assert report.faults == []
+    assert [one.hysteresis_percent for one in report.contactors] == pytest.approx(
+        [100 * width] * 4, abs=0.2
+    )
+    for name in ("capacitance_nf", "d31", "resonance_hz", "stiffness"):
+        found, true = ([getattr(one, name) for one in each.contactors] for each in (report, plain))
+        assert found == pytest.approx(true, rel=6e-3)
+
+
+@pytest.mark.ci
+def test_what_follows_inverts_the_hysteresis(
+    folder: Path, looped: tuple[CalibrationReport, Calibration]
+) -> None:
+    """Play oak: its vibration is within 0.5 dB, and no guard judges by linear filters."""
+    device = "sim:?finger=random:3&tolerance=5&hysteresis=0.13"
+    follows = stroke(folder, device, looped[1], 1.5)
+    assert abs(level(follows)) < 0.5
+    figures = follows.following
+    assert figures is not None
+    assert figures.unexplained_share < 0.02
+    assert (figures.touched_share, figures.lifted, figures.guarded) == (1.0, 0, 0)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("finger", ["low", "high"])
+def test_finger_is_measured_in_spite_of_hysteresis(
+    folder: Path, looped: tuple[CalibrationReport, Calibration], finger: str
+) -> None:
+    """Find the stiffness at 100 Hz within 12 % with a loop of 13 %, where none was found before."""
+    device = f"sim:?finger={finger}&tolerance=5&hysteresis=0.13"
+    report, _ = measure_finger(device, display_file(folder), looped[1])
+    at = REPORTED.index(100)
+    true = getattr(FingerLoad, finger)().stiffness(np.array([100.0])).real
+    assert report.known == 4
+    found = [(one.stiffness_n_per_m or [])[at] for one in report.contactors]
+    assert found == pytest.approx(list(true) * 4, rel=0.12)
+
+
 @pytest.mark.ci
 def test_a_display_that_is_touched_is_refused(folder: Path, command: Command) -> None:
-    """Each contactor is named, and nothing is written."""
+    """Each contactor is named, nothing is written, and no more than 20 V have been played."""
     source = str(display_file(folder))
     said = command("calibrate", "sim:?finger=mid", "--display", source, "--out", "touched.npz")
+    assert float(re.findall(r"([\d.]+) V", said.out)[0]) <= 20
     assert said.code == 1
     named = re.findall(r"fault: contactors? ([\d, ]+):", said.out)
     assert sorted(", ".join(named).split(", ")) == ["0", "1", "2", "3"]

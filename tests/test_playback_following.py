@@ -474,6 +474,7 @@ def requests(count: int) -> list[EstimateRequest]:
     for k in range(count):
         window = SumWindow(
             1e-9 * rng.standard_normal((2, LAGS)),
+            rng.standard_normal((2, LAGS - 1 + WINDOW)),
             rng.standard_normal((2, AFTER + WINDOW + MARGIN)),
             np.full(2, 1e-12), np.ones(2, np.bool_), rng.standard_normal((2, EARLIER)),
         )  # fmt: skip

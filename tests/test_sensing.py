@@ -22,7 +22,7 @@ from tactile.actuator.response import blocked_force
 from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.sensing.bender import Bender, Deviations
-from tactile.sensing.correlation import AFTER, BEFORE, LAGS, MARGIN, step_products
+from tactile.sensing.correlation import AFTER, BEFORE, LAGS, MARGIN, during, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.excitation import TONES, VOLTS, pilot, pilot_phases
 from tactile.sensing.inverse_mix import InverseMix
@@ -95,21 +95,25 @@ def test_population_covers_the_fingers_of_the_paper() -> None:
 
 
 def test_sums_and_products_by_their_definitions() -> None:
-    """Write out sums over a window, and check that a filter's sums are its products' sums."""
+    """Write out sums over a window, and check that a filter's sums are its products' sums.
+
+    The drive differs from the effective voltage, as with hysteresis.
+    """
     rng = np.random.default_rng(0)
     samples, begin = 37, AFTER
     steps = rng.standard_normal((2, AFTER + samples + MARGIN))
     window = np.arange(begin, begin + samples)
-    products = step_products(steps, samples)
+    drive = rng.standard_normal(steps.shape)
+    products = step_products(steps, during(drive))
     for m in (-BEFORE, -1, 0, 5, AFTER):
         for lag in (0, 1, LAGS - 1):
-            expected = (steps[:, window - m] * steps[:, window - lag]).sum(axis=1)
+            expected = (steps[:, window - m] * drive[:, window - lag]).sum(axis=1)
             np.testing.assert_allclose(products[:, BEFORE + m, lag], expected, atol=1e-9)
     taps = rng.standard_normal(BEFORE + AFTER + 1)
     current = np.array(
         [[taps @ row[n + BEFORE - np.arange(len(taps))] for n in window] for row in steps]
     )
-    sums = lag_sums(current, steps[:, begin - LAGS + 1 : begin + samples])
+    sums = lag_sums(current, drive[:, begin - LAGS + 1 : begin + samples])
     np.testing.assert_allclose(sums, products.transpose(0, 2, 1) @ taps, rtol=1e-9, atol=1e-9)
 
 

@@ -21,6 +21,7 @@ from tactile.sensing.baseline_file import (
     load_calibration,
     save_calibration,
 )
+from tactile.sensing.hysteresis import Hysteresis
 
 CHANNELS = 2
 
@@ -30,8 +31,9 @@ def calibration() -> Calibration:
     """Return a calibration of two channels, one of which was not measured."""
     baseline = exact_baseline(tolerant_plant(random_loads(CHANNELS)))
     baseline = replace(
-        baseline, residual=np.array([0.001, np.inf]), faults=("", "no current — 10 Hz")
-    )
+        baseline, residual=np.array([0.001, np.inf]), faults=("", "no current — 10 Hz"),
+        hysteresis=Hysteresis(np.array([[1.0, 2.0]] * 2), np.array([[0.1, 0.0], [0.2, 0.3]])),
+    )  # fmt: skip
     lines = np.array([10.0, 300.0, 900.0])
     value = np.array([[1e-6j, 2e-5j, 7e-5], [np.nan] * 3])
     clipped = np.array([[False] * 3, [True, False, True]])
@@ -126,13 +128,22 @@ def test_values_that_are_not_finite_are_named(path: Path, name: str) -> None:
 def test_values_out_of_range_are_named(path: Path) -> None:
     """Give another format, lines that descend, and rates of zero."""
     for words, arrays in {
-        "format 2": {"format": np.array(2)},
+        "format 1, this version reads 2: calibrate again": {"format": np.array(1)},
+        "hysteresis_radius_v: must be above 0": {"hysteresis_radius_v": np.zeros((2, 2))},
+        "hysteresis_weight: must not be below 0": {"hysteresis_weight": np.full((2, 2), -0.1)},
         "lines_hz: must ascend": {"lines_hz": np.array([10.0, 5.0, 900.0])},
         "sample_rate_hz: must be above 0": {"sample_rate_hz": np.array(0.0)},
         "stiffness_factor: must be above 0": {"stiffness_factor": np.array([1.0, -1.0])},
     }.items():
         with pytest.raises(InputError, match=words):
             load_calibration(changed(path, **arrays))
+
+
+def test_file_of_an_older_format_is_named_although_it_lacks_arrays(path: Path) -> None:
+    """Read a file as it was before hysteresis was measured."""
+    older = changed(path, format=np.array(1), hysteresis_radius_v=None, hysteresis_weight=None)
+    with pytest.raises(InputError, match="format 1, this version reads 2: calibrate again"):
+        load_calibration(older)
 
 
 def test_damaged_files_are_refused(path: Path) -> None:

@@ -46,6 +46,7 @@ from tactile.sensing.calibration import (
     plan_calibration,
 )
 from tactile.sensing.correlation import LAGS
+from tactile.sensing.hysteresis import Hysteresis
 
 Response = Callable[[Floats], Complex]
 CONVERTER = Converter()
@@ -85,7 +86,12 @@ def drawn(plan: CalibrationPlan, response: Response) -> Floats:
 def measured(response: Response, plan: CalibrationPlan = PLAN) -> Admittances:
     """Return the admittances that a response is measured to have."""
     windows = air_windows(plan, CONVERTER, drawn(plan, response))
-    return measure_admittances(plan, windows, played(plan))
+    return measure_admittances(plan, windows, played(plan), none(windows))
+
+
+def none(windows: AirWindows) -> Hysteresis:
+    """Return the model of contactors that have no hysteresis."""
+    return Hysteresis.none(windows.sums.shape[1])
 
 
 def fitted(found: Admittances) -> Baseline:
@@ -165,7 +171,7 @@ def test_other_sample_rates(plant: SensingPlant, sample_rate: float) -> None:
     windows = AirWindows(
         positions, np.array(sums), np.zeros(shape), np.ones(shape, bool), np.zeros(shape, bool)
     )
-    found = measure_admittances(plan, windows, drive)
+    found = measure_admittances(plan, windows, drive, none(windows))
     departure = error(found, in_air(plant))
     assert departure[:, found.frequency > 60].max() < 0.03
     assert np.median(departure) < 1e-3
@@ -183,7 +189,7 @@ def test_lost_windows_are_left_out(plant: SensingPlant) -> None:
     left = AirWindows(
         windows.positions[kept], sums, windows.rounding[kept], valid, windows.clipped[kept]
     )
-    departure = error(measure_admittances(PLAN, left, played(PLAN)), in_air(plant))
+    departure = error(measure_admittances(PLAN, left, played(PLAN), none(left)), in_air(plant))
     assert np.isfinite(departure).all()
     assert departure.max() < 0.03
 
@@ -196,7 +202,7 @@ def test_channel_with_too_few_windows_is_named(plant: SensingPlant) -> None:
     valid = windows.valid.copy()
     valid[inside, 0] = False
     valid[:, 2] = False
-    found = measure_admittances(PLAN, replace(windows, valid=valid), played(PLAN))
+    found = measure_admittances(PLAN, replace(windows, valid=valid), played(PLAN), none(windows))
     lost = np.isin(found.frequency, segment.lines)
     np.testing.assert_array_equal(np.isnan(found.value[0]), lost)
     assert np.isnan(found.value[2]).all()
@@ -210,11 +216,11 @@ def test_channel_with_too_few_windows_is_named(plant: SensingPlant) -> None:
 
 def test_amplifiers_that_report_nothing_are_named() -> None:
     """Measure without any windows."""
-    none = np.zeros((0, 2), np.bool_)
+    nothing = np.zeros((0, 2), np.bool_)
     windows = AirWindows(
-        np.zeros(0, np.int64), np.zeros((0, 2, LAGS)), np.zeros((0, 2)), none, none
+        np.zeros(0, np.int64), np.zeros((0, 2, LAGS)), np.zeros((0, 2)), nothing, nothing
     )
-    found = measure_admittances(PLAN, windows, played(PLAN))
+    found = measure_admittances(PLAN, windows, played(PLAN), none(windows))
     assert np.isnan(found.value).all()
     assert np.isnan(found.noise).all()
     assert all("no current was measured at 10 Hz" in fault for fault in fitted(found).faults)

@@ -25,7 +25,15 @@ from benchmarks.sensing_loop import (
 from benchmarks.sensing_plant import Converter
 from tactile.arrays import Floats
 from tactile.sensing.baseline import Baseline
-from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow, step_products
+from tactile.sensing.correlation import (
+    AFTER,
+    EARLIER,
+    LAGS,
+    MARGIN,
+    SumWindow,
+    during,
+    step_products,
+)
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import CAPACITANCE_SPREAD, FARTHEST, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
@@ -60,12 +68,12 @@ def window_of(
     """Return the window of the model's own current under loads, with noise and a capacitance."""
     steps = pilot_steps(window)
     taps = drift * model.electrical + model.weights(loads) @ model.shared
-    exact = np.einsum("nml,nm->nl", step_products(steps, WINDOW), taps)
+    exact = np.einsum("nml,nm->nl", step_products(steps, during(steps)), taps)
     rng = np.random.default_rng(window)
     current = noise * rng.standard_normal((COUNT, WINDOW))
-    measured = lag_sums(current, steps[:, AFTER - LAGS + 1 : AFTER + WINDOW])
+    measured = lag_sums(current, during(steps))
     valid, earlier = np.ones(COUNT, np.bool_), np.zeros((COUNT, EARLIER))
-    return SumWindow(exact + measured, steps, np.zeros(COUNT), valid, earlier)
+    return SumWindow(exact + measured, during(steps), steps, np.zeros(COUNT), valid, earlier)
 
 
 def followed(model: CurrentModel, loads: Floats, windows: int, drift: float = 1.0) -> LoadEstimator:
@@ -130,7 +138,9 @@ def test_drive_at_rest_says_nothing(model: CurrentModel, amplitude: float) -> No
     estimator = LoadEstimator(model, Population.assumed(), noise=NOISE)
     steps = np.full((COUNT, AFTER + WINDOW + MARGIN), amplitude)
     valid, earlier = np.ones(COUNT, np.bool_), np.zeros((COUNT, EARLIER))
-    still = SumWindow(np.zeros((COUNT, LAGS)), steps, np.zeros(COUNT), valid, earlier)
+    still = SumWindow(
+        np.zeros((COUNT, LAGS)), during(steps), steps, np.zeros(COUNT), valid, earlier
+    )
     for _ in range(5):
         estimate = estimator.update(still)
     np.testing.assert_allclose(estimate.logarithms, np.tile(Population.assumed().mean, (COUNT, 1)))
@@ -254,8 +264,10 @@ def in_air(model: CurrentModel, window: int, factor: float = 1.0) -> SumWindow:
     steps, valid = pilot_steps(window), np.ones(COUNT, np.bool_)
     first = window * WINDOW - AFTER - 1 - EARLIER
     earlier = np.diff(pilot(first, EARLIER + 1, RATE, pilot_phases(COUNT)), axis=0).T
-    empty = SumWindow(np.zeros((COUNT, LAGS)), steps, np.zeros(COUNT), valid, earlier)
-    exact = np.einsum("nml,nm->nl", step_products(steps, WINDOW), factor * model.electrical)
+    empty = SumWindow(
+        np.zeros((COUNT, LAGS)), during(steps), steps, np.zeros(COUNT), valid, earlier
+    )
+    exact = np.einsum("nml,nm->nl", step_products(steps, during(steps)), factor * model.electrical)
     return replace(empty, sums=exact + model.air_sums(empty))
 
 

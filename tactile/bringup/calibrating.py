@@ -1,10 +1,14 @@
 """Calibration of a display in air: each bender's current while a few tones play at a time.
 
-Nothing may touch the display meanwhile. A calibration is written only if no contactor has a fault.
+Nothing may touch the display meanwhile. At first the drive is at most 20 V. If no contactor has a
+fault, a slow tone up to the display's limit measures the hysteresis, which is then taken into
+account in what was measured before. A calibration is written only if no contactor has a fault.
 """
 
 import datetime
+import math
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +18,17 @@ from tactile.bringup.current_measuring import Progress, measuring_device
 from tactile.display.display import Display
 from tactile.playback.finger_following import WINDOW_MS
 from tactile.playback.sum_windows import PlayedWindow
-from tactile.sensing.admittance import AirWindows, measure_admittances
-from tactile.sensing.baseline import fit_baseline
+from tactile.sensing.admittance import Admittances, AirWindows, measure_admittances
+from tactile.sensing.baseline import Baseline, fit_baseline
 from tactile.sensing.baseline_file import (
     Calibration,
     check_calibration_file,
     save_calibration,
 )
+from tactile.sensing.bender import Bender
 from tactile.sensing.calibration import CalibrationPlan, plan_calibration
+from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.loop_tones import fit_hysteresis, plan_loops
 
 
 @dataclass
@@ -40,6 +47,9 @@ class CalibratedContactor:
         Resonance in air [Hz].
     stiffness, d31, mechanical_loss : float
         Factors against the design.
+    hysteresis_percent : float
+        Largest distance between the branches of the loop at the largest drive, as a part of its
+        swing [%].
     skew_us : float
         Time by which the current is sampled after the drive [µs].
     noise_ua : float
@@ -56,6 +66,7 @@ class CalibratedContactor:
     stiffness: float
     d31: float
     mechanical_loss: float
+    hysteresis_percent: float
     skew_us: float
     noise_ua: float
     fault: str = ""
@@ -147,22 +158,39 @@ def calibrate(
     """
     if write is not None:
         check_calibration_file(write, force=force)  # before anything is measured
-    with measuring_device(url, source, accept_unsafe_hold=accept_unsafe_hold) as device:
-        display, bender, rate, limits = device.display, device.bender, device.rate, device.limits()
-        plan = plan_calibration(bender, rate, limits, window=round(WINDOW_MS * 1e-3 * rate))
-        windows = device.play(plan.drive, progress)
-    admittances = measure_admittances(plan, _air_windows(windows), plan.drive)
-    baseline = fit_baseline(
-        admittances.frequency, admittances.value, bender,
-        deviation=admittances.deviation, clipped=admittances.clipped,
-    )  # fmt: skip
+    reach = partial(measuring_device, url, source, accept_unsafe_hold=accept_unsafe_hold)
+    with reach() as device:
+        display, rate, limits = device.display, device.rate, device.limits()
+        plan = plan_calibration(device.bender, rate, limits, window=round(WINDOW_MS * 1e-3 * rate))
+        windows = _air_windows(device.play(plan.drive, progress))
+    none = Hysteresis.none(len(display.contactors))
+    measured, baseline = _fitted(plan, windows, device.bender, none)
+    seconds, volts = plan.seconds, float(np.abs(plan.drive).max())
+    if not any(baseline.faults):
+        with reach(voltage=math.inf) as device:
+            loops = plan_loops(device.bender.capacitance, rate, device.limits(), window=plan.window)
+            hysteresis = fit_hysteresis(loops, _air_windows(device.play(loops.drive, progress)))
+        measured, baseline = _fitted(plan, windows, device.bender, hysteresis)
+        seconds, volts = seconds + len(loops.drive) / rate, float(loops.levels[-1])
     date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    calibration = Calibration(display.name, date, rate, limits.current, admittances, baseline)
-    report = _report(calibration, display, url, plan)
+    calibration = Calibration(display.name, date, rate, limits.current, measured, baseline)
+    report = _report(calibration, display, url, volts)
+    report.seconds = seconds
     if write is not None and not report.faults:
         save_calibration(write, calibration, force=force)
         report.written = str(write)
     return report, calibration
+
+
+def _fitted(
+    plan: CalibrationPlan, windows: AirWindows, bender: Bender, hysteresis: Hysteresis
+) -> tuple[Admittances, Baseline]:
+    """Return what windows tell of contactors that have a hysteresis."""
+    measured = measure_admittances(plan, windows, plan.drive, hysteresis)
+    return measured, fit_baseline(
+        measured.frequency, measured.value, bender,
+        deviation=measured.deviation, clipped=measured.clipped, hysteresis=hysteresis,
+    )  # fmt: skip
 
 
 def _air_windows(windows: list[PlayedWindow]) -> AirWindows:
@@ -177,15 +205,16 @@ def _air_windows(windows: list[PlayedWindow]) -> AirWindows:
 
 
 def _report(
-    calibration: Calibration, display: Display, url: str, plan: CalibrationPlan
+    calibration: Calibration, display: Display, url: str, voltage: float
 ) -> CalibrationReport:
     """Return the report on a calibration."""
     baseline = calibration.baseline
     report = CalibrationReport(
-        display.name, url, plan.seconds, float(np.abs(plan.drive).max()),
-        calibration.current_range * 1e3,
-        baseline.bender.capacitance * 1e9, baseline.bender.resonance,
+        display.name, url, voltage_v=voltage, range_ma=calibration.current_range * 1e3,
+        design_capacitance_nf=baseline.bender.capacitance * 1e9,
+        design_resonance_hz=baseline.bender.resonance,
     )  # fmt: skip
+    width = baseline.hysteresis.loop_width(voltage)
     dielectric = baseline.capacitance[:, -1]
     for k, fault in enumerate(baseline.faults):
         farads = complex(dielectric[k])
@@ -195,7 +224,8 @@ def _report(
                 -farads.imag / farads.real if farads.real else 0.0,
                 float(baseline.resonance[k]), float(baseline.deviations.stiffness[k]),
                 float(baseline.deviations.coupling[k]), float(baseline.deviations.loss[k]),
-                float(baseline.skew[k]) * 1e6, float(calibration.measured.noise[k]) * 1e6, fault,
+                100 * float(width[k]), float(baseline.skew[k]) * 1e6,
+                float(calibration.measured.noise[k]) * 1e6, fault,
             )
         )  # fmt: skip
         if fault:

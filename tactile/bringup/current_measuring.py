@@ -1,7 +1,7 @@
 """What measurements of the currents of a display have in common: a cautious bus, and listening.
 
-Drive and electrodes never exceed 20 V: the bus is opened with that limit, so that host, bus and
-amplifier each enforce it on their own.
+Drive and electrodes never exceed 20 V, or the display's own limit where hysteresis is measured: the
+bus is opened with that limit, so that host, bus and amplifier each enforce it on their own.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,6 +23,7 @@ from tactile.playback.finger_following import WINDOW_MS
 from tactile.playback.sum_windows import PlayedWindow, SumWindows
 from tactile.sensing.bender import Bender, bender_of
 from tactile.sensing.calibration import LARGEST, MeasuringLimits
+from tactile.sensing.hysteresis import Hysteresis
 
 BLOCK = 64
 """Number of samples of a block."""
@@ -76,7 +77,13 @@ class MeasuringDevice(NamedTuple):
             slew=self.display.slew,
         )
 
-    def play(self, drive: Floats, progress: Progress | None = None) -> list[PlayedWindow]:
+    def play(
+        self,
+        drive: Floats,
+        progress: Progress | None = None,
+        *,
+        hysteresis: Hysteresis | None = None,
+    ) -> list[PlayedWindow]:
         """Play a drive on all contactors, and a while of 0 V.
 
         Parameters
@@ -85,6 +92,8 @@ class MeasuringDevice(NamedTuple):
             Drive [V].
         progress : callable, optional
             Function that is called with the time that has been played and the whole time.
+        hysteresis : Hysteresis, optional
+            Hysteresis of the contactors, if it has been measured.
 
         Returns
         -------
@@ -97,7 +106,7 @@ class MeasuringDevice(NamedTuple):
             If the device stops, or no windows come.
         """
         bus, display = self.bus, self.display
-        rate, taken = self.rate, SumWindows(display, bus)
+        rate, taken = self.rate, SumWindows(display, bus, hysteresis)
         whole = np.concatenate([drive, np.zeros(round(LISTENING * rate))])
         windows = []
         bus.start()
@@ -119,9 +128,13 @@ class MeasuringDevice(NamedTuple):
 
 @contextmanager
 def measuring_device(
-    url: str, source: str | Path, *, accept_unsafe_hold: bool = False
+    url: str,
+    source: str | Path,
+    *,
+    voltage: float = LARGEST,
+    accept_unsafe_hold: bool = False,
 ) -> Iterator[MeasuringDevice]:
-    """Open a device with a limit of 20 V, to measure the currents of its contactors.
+    """Open a device with a low limit of its voltage, to measure the currents of its contactors.
 
     Parameters
     ----------
@@ -129,6 +142,8 @@ def measuring_device(
         URL of the device.
     source : str or Path
         Name or file of the display.
+    voltage : float
+        Largest voltage at drive and electrodes, besides the display's own limit [V].
     accept_unsafe_hold : bool
         As in `open_bus`.
 
@@ -142,7 +157,7 @@ def measuring_device(
     TactileError
         If the device measures no currents, or device or display cannot be used.
     """
-    display = cautious(load_display(source), LARGEST)
+    display = cautious(load_display(source), voltage)
     asked = with_default_option(url, "correlation_ms", str(WINDOW_MS))
     with (
         open_bus(asked, display, accept_unsafe_hold=accept_unsafe_hold) as bus,

@@ -17,6 +17,7 @@ from tactile.sensing.baseline import Baseline
 from tactile.sensing.baseline_file import Calibration
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.finger_drive import measuring_drive
+from tactile.sensing.hysteresis import Hysteresis
 from tactile.sensing.population import Population, load_stiffness
 from tactile.sensing.resting_load import LEAST_WINDOWS, MeasuredLoads, measure_loads
 from tactile.sensing.uncertainty import (
@@ -182,7 +183,7 @@ def measure_finger(
         calibration.check_display(device.bender, len(display.contactors), device.rate)
         calibration.check_faults()
         drive = measuring_drive(device.bender, device.rate, device.limits())
-        windows = _windows_of(device, drive, progress)
+        windows = _windows_of(device, drive, calibration.baseline.hysteresis, progress)
     population = Population.assumed()
     loads = measure_loads(
         CurrentModel(calibration.baseline, population, device.rate), population,
@@ -215,10 +216,11 @@ def _check(display: Display, csv: Path | None, contactor: int | None, *, force: 
 
 
 def _windows_of(
-    device: MeasuringDevice, drive: Floats, progress: Progress | None
+    device: MeasuringDevice, drive: Floats, hysteresis: Hysteresis, progress: Progress | None
 ) -> list[PlayedWindow]:
     """Play the drive and return the windows in which it plays."""
-    windows = [one for one in device.play(drive, progress) if one.position < len(drive)]
+    played = device.play(drive, progress, hysteresis=hysteresis)
+    windows = [one for one in played if one.position < len(drive)]
     if not windows:
         raise BusError("no windows of currents came: does the link lose packets?")
     return windows

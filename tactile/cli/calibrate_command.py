@@ -17,6 +17,7 @@ COLUMNS = {
     "stiffness": ("stiffness", ".3f"),
     "d31": ("d31", ".3f"),
     "mechanical_loss": ("damping", ".2f"),
+    "hysteresis_percent": ("hysteresis %", ".1f"),
     "skew_us": ("skew µs", ".2f"),
     "noise_ua": ("noise µA", ".2f"),
 }
@@ -43,9 +44,10 @@ def run(
     """Measure the benders of a display in air.
 
     What they draw in air is what `tactile play --finger follow` needs to know. Take your hands off
-    the display: nothing may touch it. The drive is at most 20 V. Stiffness, d31
-    and damping are printed as factors against the design. The exit code is 1, and nothing is
-    written, if a contactor has a fault.
+    the display: nothing may touch it. The drive is at most 20 V, and then, if no contactor has a
+    fault, a tone of 40 Hz up to the limit of the display, which measures the hysteresis.
+    Stiffness, d31 and damping are printed as factors against the design. The exit code is 1, and
+    nothing is written, if a contactor has a fault.
 
     Example: tactile calibrate sim:?finger=air --plot calibration.png
     """

@@ -19,7 +19,7 @@ from tactile.playback.sum_windows import SumWindows
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.sensing.baseline_file import Calibration
 from tactile.sensing.bender import bender_of
-from tactile.sensing.guard import GuardFilters
+from tactile.sensing.guard import WIDEST_LOOP, GuardFilters
 from tactile.sensing.load_follower import FollowedLoads, LoadFollower
 from tactile.sensing.population import load_stiffness
 
@@ -123,6 +123,9 @@ class FingerFollowing:
     ----------
     follower : LoadFollower
         What turns shear into volts.
+    guards : bool
+        Whether guards in the amplifier judge whether contactors still have the finger: it has some,
+        and no hysteresis is wider than `WIDEST_LOOP`.
     loads : FollowedLoads or None
         Latest loads; None before the first, and when none have come for `LONGEST_GAP`.
     finger : FollowedFinger or None
@@ -145,18 +148,21 @@ class FingerFollowing:
         bender = bender_of(display.bimorph, display.amplifier, rate)
         calibration.check_display(bender, len(display.contactors), rate)
         calibration.check_faults()
+        widths = calibration.baseline.hysteresis.loop_width(display.limits.voltage)
+        self.guards = bus.guards and bool(widths.max() <= WIDEST_LOOP)
         self.follower = LoadFollower(
             calibration.baseline,
             polarity=display.polarity,
             sample_rate=rate,
             noise=float(np.median(calibration.measured.noise)),
-            guarded=bus.guards,
+            guarded=self.guards,
         )
         self._estimates = estimates or OwnEstimates()
         self._estimates.begin(self.follower)
         self.loads: FollowedLoads | None = None
         self.finger: FollowedFinger | None = None
-        self._bus, self._windows = bus, SumWindows(display, bus)
+        self._bus = bus
+        self._windows = SumWindows(display, bus, calibration.baseline.hysteresis)
         self._keeping = GuardKeeping(display)
         self._guards: GuardFilters | None = None
         """What guards expected last; None if none was told anything."""

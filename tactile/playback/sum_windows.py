@@ -3,7 +3,8 @@
 Amplifiers send windows in parts, by channels. `SumWindows` keeps the drive that was written, puts
 the parts of a window together in the order of the contactors, and passes a window on as soon as all
 of it has come and the drive shortly after it is known. The drive is that which was played: what
-guards have held down is taken into account.
+guards have held down is taken into account. With it goes the effective voltage, by the hysteresis
+of the contactors.
 """
 
 from collections import deque
@@ -17,7 +18,8 @@ from tactile.bus.base import Bus
 from tactile.bus.correlations import CorrelationWindow
 from tactile.bus.guard_gains import GuardGains
 from tactile.display.display import Display
-from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow
+from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow, during
+from tactile.sensing.hysteresis import EffectiveVoltage, Hysteresis
 
 KEPT = 0.5
 """Time for which the drive is kept; a window that comes later is dropped [s]."""
@@ -80,6 +82,8 @@ class SumWindows:
         Display whose N contactors the bus drives.
     bus : Bus
         Bus that correlates.
+    hysteresis : Hysteresis, optional
+        Hysteresis of the contactors; none by default, as before it has been measured.
 
     Attributes
     ----------
@@ -89,7 +93,7 @@ class SumWindows:
         Gains with which guards hold contactors down.
     """
 
-    def __init__(self, display: Display, bus: Bus) -> None:
+    def __init__(self, display: Display, bus: Bus, hysteresis: Hysteresis | None = None) -> None:
         self._display, self._bus = display, bus
         self._rate = bus.wiring.sample_rate
         self._begin: int | None = None
@@ -102,6 +106,7 @@ class SumWindows:
         """Latest drive, which is added to the rest when there is a whole `GATHERED` of it."""
         self._gathered = 0
         """Position after the latest sample that was added to the rest."""
+        self._effective = EffectiveVoltage(hysteresis or Hysteresis.none(self._drive.shape[1]))
         self._parts: dict[int, _Parts] = {}
         self._ready: deque[tuple[int, _Parts]] = deque()
         self._disturbed, self._doubted_until = self._disturbances(), -1
@@ -136,6 +141,7 @@ class SumWindows:
         self.dropped += len(self._parts) + len(self._ready)
         self._begin, self._drive = None, np.zeros((HISTORY, len(self._display.contactors)))
         self._written.clear()
+        self._effective.restart()
         self._parts.clear()
         self._ready.clear()
         self.gains.restart()
@@ -167,10 +173,12 @@ class SumWindows:
         windows = []
         while self._ready and self._ready[0][0] + self._ready[0][1].samples + MARGIN <= self._end:
             position, parts = self._ready.popleft()
-            steps = self._steps(position, parts)
-            if steps is None:
+            drive = self._played(position, parts)
+            if drive is None:
                 self.dropped += 1
                 continue
+            voltage = self._effective.follow(position - HISTORY, drive)
+            steps, played = np.diff(voltage, axis=0).T, np.diff(drive, axis=0).T
             end = position + parts.samples
             valid = ~parts.clipped & (end > self._doubted_until)
             swinging = (end > self.gains.latest) & (
@@ -178,8 +186,9 @@ class SumWindows:
             )
             valid &= ~swinging
             window = SumWindow(
-                parts.sums, steps[:, EARLIER:], 2 * parts.rounding, valid, steps[:, :EARLIER]
-            )
+                parts.sums, during(played[:, EARLIER:]), steps[:, EARLIER:],
+                2 * parts.rounding, valid, steps[:, :EARLIER],
+            )  # fmt: skip
             windows.append(PlayedWindow(position, end, window, parts.clipped, parts.current_range))
         return windows
 
@@ -210,8 +219,8 @@ class SumWindows:
         row = self._display.channel - first
         return row, (row >= 0) & (row < count)
 
-    def _steps(self, position: int, parts: _Parts) -> Floats | None:
-        """Return the steps of the drive around a window; None if they are not known any more."""
+    def _played(self, position: int, parts: _Parts) -> Floats | None:
+        """Return the drive around a window (S, N); None if it is not known any more [V]."""
         self._gather()
         begin = len(self._drive) - (self._end - position) - HISTORY
         if begin < 0:
@@ -223,7 +232,7 @@ class SumWindows:
             gains = self.gains.gains(position - HISTORY, count)
         if gains is not None:
             drive = drive * gains
-        return np.asarray(np.diff(drive, axis=0).T)
+        return drive
 
     def _disturbances(self) -> int:
         """Return how often the drive was not what was written, as far as it is known."""

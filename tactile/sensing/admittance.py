@@ -5,7 +5,8 @@ complex amplitudes U_k in the drive. The lag sums of a window are then linear in
 imaginary parts of Y_k, with coefficients that follow from the drive. They are solved by least
 squares over the windows of the segment. White noise of variance σ² of the current has the
 covariance σ² D Dᵀ in the sums of a window, of the delayed steps D (LAGS, S); their rounding adds to
-it. The noise itself is found from what the solution leaves.
+it. The noise itself is found from what the solution leaves. What is solved are admittances to the
+drive; those to the effective voltage follow from how much of each line this has (`hysteresis`).
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from tactile.arrays import Complex, Floats
 from tactile.sensing.calibration import FEWEST, CalibrationPlan, ToneSegment, segments_of
 from tactile.sensing.correlation import LAGS
+from tactile.sensing.hysteresis import Hysteresis, HysteresisStream
 
 SMALLEST = 1e-12
 """Smallest eigenvalue of D Dᵀ that carries information, relative to the largest."""
@@ -61,7 +63,7 @@ class Admittances:
     frequency : (F,) array of float
         Frequencies, ascending [Hz].
     value : (N, F) complex array
-        Current per volt of drive; NaN where too few windows were usable [S].
+        Current per volt of effective voltage; NaN where too few windows were usable [S].
     deviation : (N, F) array of float
         Standard deviation of the complex value [S].
     noise : (N,) array of float
@@ -77,7 +79,9 @@ class Admittances:
     clipped: NDArray[np.bool_]
 
 
-def measure_admittances(plan: CalibrationPlan, windows: AirWindows, played: Floats) -> Admittances:
+def measure_admittances(
+    plan: CalibrationPlan, windows: AirWindows, played: Floats, hysteresis: Hysteresis
+) -> Admittances:
     """Estimate the admittances from lag sums.
 
     Parameters
@@ -88,6 +92,8 @@ def measure_admittances(plan: CalibrationPlan, windows: AirWindows, played: Floa
         What came back; windows in no steady part are left out.
     played : (S,) array of float
         The plan's drive as it was played, rounded to the codes of the link [V].
+    hysteresis : Hysteresis
+        Hysteresis of the N contactors.
 
     Returns
     -------
@@ -104,6 +110,8 @@ def measure_admittances(plan: CalibrationPlan, windows: AirWindows, played: Floa
     noise = _noise(systems, expected)
     solved = [system.solve(noise) for system in systems]
     value, deviation = (np.concatenate(column, axis=1) for column in zip(*solved, strict=True))
+    gain = _gains(plan, played, hysteresis)
+    value, deviation = value / gain, deviation / np.abs(gain)
     clipped = [
         np.repeat(windows.clipped[belongs == number].any(axis=0)[:, None], len(segment.lines), 1)
         for number, segment in enumerate(plan.segments)
@@ -113,6 +121,17 @@ def measure_admittances(plan: CalibrationPlan, windows: AirWindows, played: Floa
         plan.lines, value[:, order], deviation[:, order], noise,
         np.concatenate(clipped, axis=1)[:, order],
     )  # fmt: skip
+
+
+def _gains(plan: CalibrationPlan, played: Floats, hysteresis: Hysteresis) -> Complex:
+    """Return the effective voltage per volt of drive of each line (N, F), segment by segment."""
+    drive = np.repeat(played[:, None], len(hysteresis.radii), axis=1)
+    effective, gains = HysteresisStream(hysteresis)(drive), []
+    for segment in plan.segments:
+        turn = np.asarray(2j * np.pi / plan.sample_rate * segment.lines)
+        amplitude = _amplitudes(played[:, None], segment, turn)
+        gains.append(_amplitudes(effective, segment, turn) / amplitude)
+    return np.concatenate(gains).T
 
 
 def _noise(systems: list["_System"], expected: Floats) -> Floats:
@@ -163,7 +182,7 @@ class _System:
         """Set up the system of a segment from the windows that lie in its steady part."""
         turn = np.asarray(2j * np.pi / plan.sample_rate * segment.lines)
         position = windows.positions[which]
-        tones = _amplitudes(played, segment, turn) * np.exp(
+        tones = _amplitudes(played[:, None], segment, turn)[:, 0] * np.exp(
             (position[:, None] + np.arange(plan.window))[..., None] * turn
         )
         steps = np.diff(played, prepend=np.zeros(LAGS))  # that at n is steps[n + LAGS − 1]
@@ -220,7 +239,7 @@ class _System:
 
 
 def _amplitudes(played: Floats, segment: ToneSegment, turn: Complex) -> Complex:
-    """Return the complex amplitudes (K,) of a segment's lines, from the drive as played [V]."""
+    """Return the complex amplitudes (K, N) of a segment's lines in voltages (S, N) [V]."""
     span = slice(segment.first, segment.end)
     tones = np.exp(np.arange(segment.first, segment.end)[:, None] * turn)
     left = np.concatenate([tones.real, -tones.imag], axis=1)

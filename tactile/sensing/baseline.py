@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from tactile.arrays import Complex, Floats
 from tactile.sensing.bender import Bender, Deviations
+from tactile.sensing.hysteresis import Hysteresis
 
 REFERENCE = 300.0
 """Frequency to which the logarithms of frequencies refer [Hz]."""
@@ -72,6 +73,8 @@ class Baseline:
         Root mean square of what the fit leaves of the charge, relative to the capacitance.
     faults : tuple of N str
         Why the baseline of a channel must not be used; empty if it may be.
+    hysteresis : Hysteresis
+        Effective voltage to which all this refers.
     """
 
     bender: Bender
@@ -81,6 +84,7 @@ class Baseline:
     resonance: Floats
     residual: Floats
     faults: tuple[str, ...]
+    hysteresis: Hysteresis
 
     def charge(self, frequency: Floats) -> Complex:
         """Compute the charge of the dielectric as it is measured.
@@ -157,6 +161,7 @@ def fit_baseline(
     *,
     deviation: Floats | None = None,
     clipped: NDArray[np.bool_] | None = None,
+    hysteresis: Hysteresis | None = None,
 ) -> Baseline:
     """Fit the baseline to admittances that were measured in air.
 
@@ -165,7 +170,8 @@ def fit_baseline(
     frequency : (F,) array of float
         Frequencies of the lines, ascending from above zero, densest near the resonance [Hz].
     admittance : (N, F) complex array
-        Measured current per volt of drive, of each channel; NaN where it is unknown [S].
+        Measured current per volt of effective voltage, of each channel; NaN where it is unknown
+        [S].
     bender : Bender
         The design.
     deviation : (N, F) array of float, optional
@@ -173,6 +179,8 @@ def fit_baseline(
         [S].
     clipped : (N, F) array of bool, optional
         Whether the converter clipped at a line.
+    hysteresis : Hysteresis, optional
+        Hysteresis of the channels; by default they have none.
 
     Returns
     -------
@@ -194,7 +202,7 @@ def fit_baseline(
     stiffness, coupling, loss, skew, capacitance, resonance, residual = columns
     return Baseline(
         bender, Deviations(stiffness, coupling, loss), skew, capacitance, resonance, residual,
-        tuple(faults),
+        tuple(faults), hysteresis or Hysteresis.none(len(charge)),
     )  # fmt: skip
 
 

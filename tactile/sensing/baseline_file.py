@@ -21,8 +21,9 @@ from tactile.files import check_target, write_whole
 from tactile.sensing.admittance import Admittances
 from tactile.sensing.baseline import ORDER, Baseline
 from tactile.sensing.bender import Bender, Deviations
+from tactile.sensing.hysteresis import Hysteresis
 
-FORMAT = 1
+FORMAT = 2
 """Version of the format."""
 LARGEST_FILE = 64 * 1024 * 1024
 """Maximum size of a file and of its content, ten times that of 4096 channels [bytes]."""
@@ -52,14 +53,16 @@ COLUMNS = {
     "resonance_hz": ("f", "N"),
     "residual": ("f", "N"),
     "faults": ("U", "N"),
+    "hysteresis_radius_v": ("f", "NR"),
+    "hysteresis_weight": ("f", "NR"),
     "lines_hz": ("f", "F"),
     "admittance_s": ("c", "NF"),
     "deviation_s": ("f", "NF"),
     "noise_a": ("f", "N"),
     "clipped": ("b", "NF"),
 }
-"""Kind of each array of a file and its dimensions: N channels, K frequencies of the design, F lines
-and P coefficients."""
+"""Kind of each array of a file and its dimensions: N channels, K frequencies of the design, F
+lines, P coefficients and R play operators."""
 UNMEASURED = frozenset({"admittance_s", "deviation_s", "noise_a", "residual"})
 """Arrays that may hold NaN or infinity, for channels that could not be measured."""
 
@@ -203,6 +206,7 @@ def _columns(calibration: Calibration) -> dict[str, NDArray[np.generic]]:
         calibration.current_range, b.bender.frequency, b.bender.force, b.bender.stiffness,
         b.bender.amplifier, b.bender.capacitance, b.deviations.stiffness, b.deviations.coupling,
         b.deviations.loss, b.skew, b.capacitance, b.resonance, b.residual, list(b.faults),
+        b.hysteresis.radii, b.hysteresis.weights,
         m.frequency, m.value, m.deviation, m.noise, m.clipped,
     )  # fmt: skip
     return {name: np.asarray(value) for name, value in zip(COLUMNS, values, strict=True)}
@@ -251,6 +255,11 @@ def _read(path: Path) -> dict[str, NDArray[np.generic]]:
         )
     with np.load(path, allow_pickle=False) as file:
         missing = [name for name in COLUMNS if name not in file.files]
+        version = np.asarray(file["format"]) if "format" in file.files else np.zeros(0)
+        if version.dtype.kind == "i" and version.ndim == 0 and version != FORMAT:
+            raise InputError(
+                f"{path}: format {version}, this version reads {FORMAT}: calibrate again"
+            )
         if missing:
             raise InputError(f"{path}: is not a calibration: it has no {missing[0]}")
         return {name: file[name] for name in COLUMNS}
@@ -274,14 +283,14 @@ def _check(path: Path, columns: dict[str, NDArray[np.generic]]) -> None:
                 )
         if kind in "fc" and name not in UNMEASURED and not np.isfinite(column).all():
             raise InputError(f"{path}: {name}: holds NaN or infinity")
-    if columns["format"] != FORMAT:
-        raise InputError(f"{path}: format {columns['format']}, this version reads {FORMAT}")
     for name in ("design_frequency_hz", "lines_hz"):
         if not (np.diff(_floats(columns[name])) > 0).all():
             raise InputError(f"{path}: {name}: must ascend")
-    for name in ("sample_rate_hz", "current_range_a", "stiffness_factor"):
+    for name in ("sample_rate_hz", "current_range_a", "stiffness_factor", "hysteresis_radius_v"):
         if not (_floats(columns[name]) > 0).all():
             raise InputError(f"{path}: {name}: must be above 0")
+    if not (_floats(columns["hysteresis_weight"]) >= 0).all():
+        raise InputError(f"{path}: hysteresis_weight: must not be below 0")
 
 
 def _floats(column: NDArray[np.generic]) -> Floats:
@@ -306,6 +315,7 @@ def _calibration(columns: dict[str, NDArray[np.generic]]) -> Calibration:
     baseline = Baseline(
         bender, deviations, f["skew_s"], c["capacitance_f"], f["resonance_hz"], f["residual"],
         tuple(map(str, columns["faults"])),
+        Hysteresis(f["hysteresis_radius_v"], f["hysteresis_weight"]),
     )  # fmt: skip
     measured = Admittances(
         f["lines_hz"], c["admittance_s"], f["deviation_s"], f["noise_a"],

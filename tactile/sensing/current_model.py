@@ -8,7 +8,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
 from tactile.sensing.baseline import Baseline
-from tactile.sensing.correlation import AFTER, BEFORE, EARLIER, LAGS, MARGIN, SumWindow
+from tactile.sensing.correlation import AFTER, BEFORE, EARLIER, SumWindow
 from tactile.sensing.population import Population, load_stiffness, load_terms
 
 FITTED = np.unique(np.concatenate([np.geomspace(8, 40, 9), np.arange(40.0, 2601.0, 10.0)]))
@@ -69,7 +69,7 @@ def _stacked(response: Complex) -> Floats:
 
 
 class CurrentModel:
-    """Current of N contactors per step of the drive.
+    """Current of N contactors per step of the effective voltage.
 
     Parameters
     ----------
@@ -137,9 +137,9 @@ class CurrentModel:
         if length not in self._air_spectra:
             self._air_spectra[length] = rfft(self.air, length)
         drawn = irfft(rfft(steps, length) * self._air_spectra[length], length)
-        begin = EARLIER + AFTER
-        current = drawn[:, begin + BEFORE : begin + BEFORE + window.samples]
-        lagged = sliding_window_view(steps[:, begin - LAGS + 1 : -MARGIN], window.samples, axis=1)
+        begin = EARLIER + AFTER + BEFORE
+        current = drawn[:, begin : begin + window.samples]
+        lagged = sliding_window_view(window.played, window.samples, axis=1)
         return np.asarray((lagged @ current[..., None])[:, ::-1, 0])
 
     def weights(self, logarithms: Floats) -> Floats:

@@ -19,6 +19,7 @@ from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import CONSISTENT, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
 from tactile.sensing.guard import GuardDesign, GuardFilters
+from tactile.sensing.hysteresis import HysteresisStream
 from tactile.sensing.inverse_mix import InverseMix
 from tactile.sensing.population import Population
 from tactile.sensing.uncertainty import shear_deviation
@@ -126,6 +127,7 @@ class LoadFollower:
         self._estimator = LoadEstimator(model, population, noise=noise)
         self._mix = InverseMix(baseline, sample_rate, taps=TAPS, delay=DELAY)
         self._equalizer = FollowingEqualizer(self._taps(self._mean, np.ones(count, np.bool_)))
+        self._drive_for = HysteresisStream(baseline.hysteresis.inverse())
         self._phases, self._position = pilot_phases(count), 0
         self._unexplained = np.zeros(count, np.intp)
         self._guards = GuardDesign(baseline, sample_rate, noise=noise) if guarded else None
@@ -135,7 +137,7 @@ class LoadFollower:
         volts = self._equalizer(shear, normal_force)
         added = pilot(self._position, len(shear), self._rate, self._phases)
         self._position += len(shear)
-        return np.asarray(volts + added.astype(np.float32))
+        return self._drive_for(volts + added).astype(np.float32)
 
     def apply(self, update: FilterUpdate) -> None:
         """Begin to cross-fade to filters.

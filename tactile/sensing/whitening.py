@@ -8,10 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
-from tactile.sensing.correlation import BEFORE, LAGS, SumWindow, step_products
+from tactile.sensing.correlation import SumWindow, step_products
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.population import CONSTANTS
 
@@ -87,9 +88,10 @@ class WhitenedSums:
         WhitenedSums
             `LAGS` directions.
         """
-        products = step_products(window.steps, window.samples)
+        products = step_products(window.steps, window.played)
         sums = np.where(np.isfinite(window.sums), window.sums, 0)
-        gram = products[:, BEFORE : BEFORE + LAGS]
+        delayed = sliding_window_view(window.played, window.samples, axis=1)
+        gram = delayed[:, ::-1] @ delayed[:, ::-1].transpose(0, 2, 1)
         size, axes = np.linalg.eigh(gram)
         size = np.maximum(size, SMALLEST * size[:, -1:] + TINY)
         turned = axes.transpose(0, 2, 1) / np.sqrt(size)[..., None]

@@ -35,7 +35,7 @@ from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, durin
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import LoadEstimator
 from tactile.sensing.excitation import TONES, VOLTS
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 from tactile.sensing.inverse_mix import InverseMix
 from tactile.sensing.population import Population
 from tactile.sensing.uncertainty import shear_deviation
@@ -214,7 +214,7 @@ def _as_designed() -> Baseline:
     one = np.ones(1)
     return Baseline(
         design(), Deviations(one, one, one), 0 * one, np.zeros((1, 7), np.complex128),
-        one, 0 * one, ("",), Hysteresis.none(1),
+        one, 0 * one, ("",), PlayModel.none(1),
     )  # fmt: skip
 
 

@@ -37,7 +37,7 @@ from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, durin
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import Estimate, LoadEstimator
 from tactile.sensing.excitation import pilot, pilot_phases
-from tactile.sensing.hysteresis import Hysteresis, HysteresisStream
+from tactile.sensing.hysteresis import HysteresisStream, PlayModel
 from tactile.sensing.inverse_mix import InverseMix
 from tactile.sensing.loop_tones import LoopPlan, fit_hysteresis, plan_loops
 from tactile.sensing.population import Population
@@ -167,7 +167,7 @@ def calibrate(
         _, current = plant.step(np.repeat(longer[:, None], n, axis=1))
         return air_windows(plan, converter, current[plant.delay :])
 
-    hysteresis = fit_hysteresis(loops, windows_of(loops)) if modeled else Hysteresis.none(n)
+    hysteresis = fit_hysteresis(loops, windows_of(loops)) if modeled else PlayModel.none(n)
     found = measure_admittances(
         plan, windows_of(plan), np.rint(plan.drive / CODE) * CODE, hysteresis
     )
@@ -212,7 +212,7 @@ def draw_case(
 def repeated(one: Baseline, fingers: int) -> Baseline:
     """Return the baseline of the contactors of one finger, repeated for several."""
     d, h = one.deviations, one.hysteresis
-    h = Hysteresis(np.tile(h.radii, (fingers, 1)), np.tile(h.weights, (fingers, 1)))
+    h = PlayModel(np.tile(h.radii, (fingers, 1)), np.tile(h.weights, (fingers, 1)))
     tiled = [np.tile(values, fingers) for values in (d.stiffness, d.coupling, d.loss)]
     return Baseline(
         one.bender, Deviations(*tiled), np.tile(one.skew, fingers),

@@ -324,7 +324,7 @@ def friction_strengths(width: float, contactors: int, rng: np.random.Generator) 
     return np.asarray(mean * (1 + level) * shape)
 
 
-class Friction:
+class SlidingCeramics:
     """Hysteresis of ceramics: springs and sliders in series, beside a spring (Maxwell slip).
 
     The voltage over each spring that ends at a slider is limited, as the force over an element with
@@ -397,7 +397,7 @@ class SensingPlant:
         self._strengths = debye(beam.loss_tangent)
         self._h = 1 / (sample_rate * SUBSTEPS)
         self._rng = np.random.default_rng(seed)
-        self._friction = None if strength is None else Friction(strength)
+        self._friction = None if strength is None else SlidingCeramics(strength)
         mode = _update(self.tip, self._h)
         self._port = np.sum(self.tip.shape**2 * mode.q_f1, axis=0) + self.tip.rest_uu
         self._advance = _Advance(self.tip, mode, fingers, self._port, self._h)

@@ -21,7 +21,7 @@ from tactile.sensing.baseline_file import (
     load_calibration,
     save_calibration,
 )
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 
 CHANNELS = 2
 
@@ -32,7 +32,7 @@ def calibration() -> Calibration:
     baseline = exact_baseline(tolerant_plant(random_loads(CHANNELS)))
     baseline = replace(
         baseline, residual=np.array([0.001, np.inf]), faults=("", "no current — 10 Hz"),
-        hysteresis=Hysteresis(np.array([[1.0, 2.0]] * 2), np.array([[0.1, 0.0], [0.2, 0.3]])),
+        hysteresis=PlayModel(np.array([[1.0, 2.0]] * 2), np.array([[0.1, 0.0], [0.2, 0.3]])),
     )  # fmt: skip
     lines = np.array([10.0, 300.0, 900.0])
     value = np.array([[1e-6j, 2e-5j, 7e-5], [np.nan] * 3])

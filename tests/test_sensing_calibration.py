@@ -46,7 +46,7 @@ from tactile.sensing.calibration import (
     plan_calibration,
 )
 from tactile.sensing.correlation import LAGS
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 
 Response = Callable[[Floats], Complex]
 CONVERTER = Converter()
@@ -89,9 +89,9 @@ def measured(response: Response, plan: CalibrationPlan = PLAN) -> Admittances:
     return measure_admittances(plan, windows, played(plan), none(windows))
 
 
-def none(windows: AirWindows) -> Hysteresis:
+def none(windows: AirWindows) -> PlayModel:
     """Return the model of contactors that have no hysteresis."""
-    return Hysteresis.none(windows.sums.shape[1])
+    return PlayModel.none(windows.sums.shape[1])
 
 
 def fitted(found: Admittances) -> Baseline:

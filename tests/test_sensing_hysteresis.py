@@ -27,15 +27,15 @@ from benchmarks.sensing_plant import (
     SLIDERS,
     Converter,
     Fingers,
-    Friction,
     PlantTolerances,
     SensingPlant,
+    SlidingCeramics,
     friction_strengths,
 )
 from tactile.arrays import Floats
 from tactile.sensing.admittance import AirWindows
 from tactile.sensing.calibration import FILLING, MeasuringLimits
-from tactile.sensing.hysteresis import EffectiveVoltage, Hysteresis, HysteresisStream
+from tactile.sensing.hysteresis import EffectiveVoltage, HysteresisStream, PlayModel
 from tactile.sensing.loop_tones import LoopPlan, fit_hysteresis, plan_loops
 
 CONTACTORS = 3
@@ -43,18 +43,18 @@ CONVERTER = Converter()
 LIMITS = MeasuringLimits(current=CONVERTER.range, voltage=VOLTAGE, slew=0.7e6)
 
 
-def even(width: float, plays: int = 200) -> Hysteresis:
+def even(width: float, plays: int = 200) -> PlayModel:
     """Return the model of a bender whose plays are evenly spread, with the loop of Rayleigh."""
     radii = FULL_DRIVE * (np.arange(plays) + 0.5) / plays
     weight = 4 * width / (1 - 2 * width) / plays
-    return Hysteresis(radii[None], np.full((1, plays), weight))
+    return PlayModel(radii[None], np.full((1, plays), weight))
 
 
-def random_model(seed: int) -> Hysteresis:
+def random_model(seed: int) -> PlayModel:
     """Return a model with other radii and weights for each contactor."""
     rng = np.random.default_rng(seed)
     radii = np.sort(rng.uniform(0.1, 60, (CONTACTORS, 7)), axis=1)
-    return Hysteresis(radii, rng.uniform(0, 0.3, (CONTACTORS, 7)))
+    return PlayModel(radii, rng.uniform(0, 0.3, (CONTACTORS, 7)))
 
 
 def random_drive(samples: int, seed: int) -> Floats:
@@ -67,10 +67,12 @@ def test_plays_are_what_sliders_do() -> None:
     """Follow a drive by a model whose plays are the plant's sliders: they agree to rounding."""
     strength = friction_strengths(0.13, CONTACTORS, np.random.default_rng(3))
     limits = (SLIDERS[1:] + SLIDERS[:-1]) / 2
-    model = Hysteresis(np.tile(limits, (CONTACTORS, 1)), strength.T.copy())
+    model = PlayModel(np.tile(limits, (CONTACTORS, 1)), strength.T.copy())
     drive = random_drive(500, 1)
     found = HysteresisStream(model)(drive)
-    np.testing.assert_allclose(found, Friction(strength).effective(drive), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        found, SlidingCeramics(strength).effective(drive), rtol=0, atol=1e-11
+    )
     assert np.abs(found - drive).max() > 5
 
 
@@ -112,8 +114,8 @@ def test_virgin_curve_and_loop_of_rayleigh() -> None:
 def test_contactors_without_hysteresis_get_the_drive_itself() -> None:
     """Check that nothing is computed: the very array comes back, also below all radii."""
     drive = random_drive(100, 3)
-    assert HysteresisStream(Hysteresis.none(CONTACTORS))(drive) is drive
-    assert HysteresisStream(Hysteresis.none(CONTACTORS).inverse())(drive) is drive
+    assert HysteresisStream(PlayModel.none(CONTACTORS))(drive) is drive
+    assert HysteresisStream(PlayModel.none(CONTACTORS).inverse())(drive) is drive
     small = drive[:16] * 1e-4
     assert HysteresisStream(random_model(0))(small) is small
 
@@ -196,7 +198,7 @@ def test_hysteresis_is_found(
     model, n = fit_hysteresis(loops, windows), np.arange(8000)
     drive = amplitude * (np.sin(n / 350) + 0.1 * np.sin(n / 6))[:, None] / 1.1
     drive = np.repeat(drive, CONTACTORS, axis=1)
-    exact = Friction(strength).effective(drive)
+    exact = SlidingCeramics(strength).effective(drive)
     departure = (exact - drive).std(axis=0)
     assert np.all((HysteresisStream(model)(drive) - exact).std(axis=0) < share * departure)
 

@@ -27,7 +27,7 @@ from tactile.sensing.baseline_file import (
 )
 from tactile.sensing.bender import Bender
 from tactile.sensing.calibration import CalibrationPlan, plan_calibration
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 from tactile.sensing.loop_tones import fit_hysteresis, plan_loops
 
 
@@ -163,7 +163,7 @@ def calibrate(
         display, rate, limits = device.display, device.rate, device.limits()
         plan = plan_calibration(device.bender, rate, limits, window=round(WINDOW_MS * 1e-3 * rate))
         windows = _air_windows(device.play(plan.drive, progress))
-    none = Hysteresis.none(len(display.contactors))
+    none = PlayModel.none(len(display.contactors))
     measured, baseline = _fitted(plan, windows, device.bender, none)
     seconds, volts = plan.seconds, float(np.abs(plan.drive).max())
     if not any(baseline.faults):
@@ -183,7 +183,7 @@ def calibrate(
 
 
 def _fitted(
-    plan: CalibrationPlan, windows: AirWindows, bender: Bender, hysteresis: Hysteresis
+    plan: CalibrationPlan, windows: AirWindows, bender: Bender, hysteresis: PlayModel
 ) -> tuple[Admittances, Baseline]:
     """Return what windows tell of contactors that have a hysteresis."""
     measured = measure_admittances(plan, windows, plan.drive, hysteresis)

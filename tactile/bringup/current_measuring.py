@@ -23,7 +23,7 @@ from tactile.playback.finger_following import WINDOW_MS
 from tactile.playback.sum_windows import PlayedWindow, SumWindows
 from tactile.sensing.bender import Bender, bender_of
 from tactile.sensing.calibration import LARGEST, MeasuringLimits
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 
 BLOCK = 64
 """Number of samples of a block."""
@@ -82,7 +82,7 @@ class MeasuringDevice(NamedTuple):
         drive: Floats,
         progress: Progress | None = None,
         *,
-        hysteresis: Hysteresis | None = None,
+        hysteresis: PlayModel | None = None,
     ) -> list[PlayedWindow]:
         """Play a drive on all contactors, and a while of 0 V.
 
@@ -92,7 +92,7 @@ class MeasuringDevice(NamedTuple):
             Drive [V].
         progress : callable, optional
             Function that is called with the time that has been played and the whole time.
-        hysteresis : Hysteresis, optional
+        hysteresis : PlayModel, optional
             Hysteresis of the contactors, if it has been measured.
 
         Returns

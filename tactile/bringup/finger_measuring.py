@@ -17,7 +17,7 @@ from tactile.sensing.baseline import Baseline
 from tactile.sensing.baseline_file import Calibration
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.finger_drive import measuring_drive
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 from tactile.sensing.population import Population, load_stiffness
 from tactile.sensing.resting_load import LEAST_WINDOWS, MeasuredLoads, measure_loads
 from tactile.sensing.uncertainty import (
@@ -216,7 +216,7 @@ def _check(display: Display, csv: Path | None, contactor: int | None, *, force: 
 
 
 def _windows_of(
-    device: MeasuringDevice, drive: Floats, hysteresis: Hysteresis, progress: Progress | None
+    device: MeasuringDevice, drive: Floats, hysteresis: PlayModel, progress: Progress | None
 ) -> list[PlayedWindow]:
     """Play the drive and return the windows in which it plays."""
     played = device.play(drive, progress, hysteresis=hysteresis)

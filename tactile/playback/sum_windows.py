@@ -19,7 +19,7 @@ from tactile.bus.correlations import CorrelationWindow
 from tactile.bus.guard_gains import GuardGains
 from tactile.display.display import Display
 from tactile.sensing.correlation import AFTER, EARLIER, LAGS, MARGIN, SumWindow, during
-from tactile.sensing.hysteresis import EffectiveVoltage, Hysteresis
+from tactile.sensing.hysteresis import EffectiveVoltage, PlayModel
 
 KEPT = 0.5
 """Time for which the drive is kept; a window that comes later is dropped [s]."""
@@ -82,7 +82,7 @@ class SumWindows:
         Display whose N contactors the bus drives.
     bus : Bus
         Bus that correlates.
-    hysteresis : Hysteresis, optional
+    hysteresis : PlayModel, optional
         Hysteresis of the contactors; none by default, as before it has been measured.
 
     Attributes
@@ -93,7 +93,7 @@ class SumWindows:
         Gains with which guards hold contactors down.
     """
 
-    def __init__(self, display: Display, bus: Bus, hysteresis: Hysteresis | None = None) -> None:
+    def __init__(self, display: Display, bus: Bus, hysteresis: PlayModel | None = None) -> None:
         self._display, self._bus = display, bus
         self._rate = bus.wiring.sample_rate
         self._begin: int | None = None
@@ -106,7 +106,7 @@ class SumWindows:
         """Latest drive, which is added to the rest when there is a whole `GATHERED` of it."""
         self._gathered = 0
         """Position after the latest sample that was added to the rest."""
-        self._effective = EffectiveVoltage(hysteresis or Hysteresis.none(self._drive.shape[1]))
+        self._effective = EffectiveVoltage(hysteresis or PlayModel.none(self._drive.shape[1]))
         self._parts: dict[int, _Parts] = {}
         self._ready: deque[tuple[int, _Parts]] = deque()
         self._disturbed, self._doubted_until = self._disturbances(), -1

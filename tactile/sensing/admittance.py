@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile.arrays import Complex, Floats
 from tactile.sensing.calibration import FEWEST, CalibrationPlan, ToneSegment, segments_of
 from tactile.sensing.correlation import LAGS
-from tactile.sensing.hysteresis import Hysteresis, HysteresisStream
+from tactile.sensing.hysteresis import HysteresisStream, PlayModel
 
 SMALLEST = 1e-12
 """Smallest eigenvalue of D Dᵀ that carries information, relative to the largest."""
@@ -80,7 +80,7 @@ class Admittances:
 
 
 def measure_admittances(
-    plan: CalibrationPlan, windows: AirWindows, played: Floats, hysteresis: Hysteresis
+    plan: CalibrationPlan, windows: AirWindows, played: Floats, hysteresis: PlayModel
 ) -> Admittances:
     """Estimate the admittances from lag sums.
 
@@ -92,7 +92,7 @@ def measure_admittances(
         What came back; windows in no steady part are left out.
     played : (S,) array of float
         The plan's drive as it was played, rounded to the codes of the link [V].
-    hysteresis : Hysteresis
+    hysteresis : PlayModel
         Hysteresis of the N contactors.
 
     Returns
@@ -123,7 +123,7 @@ def measure_admittances(
     )  # fmt: skip
 
 
-def _gains(plan: CalibrationPlan, played: Floats, hysteresis: Hysteresis) -> Complex:
+def _gains(plan: CalibrationPlan, played: Floats, hysteresis: PlayModel) -> Complex:
     """Return the effective voltage per volt of drive of each line (N, F), segment by segment."""
     drive = np.repeat(played[:, None], len(hysteresis.radii), axis=1)
     effective, gains = HysteresisStream(hysteresis)(drive), []

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from tactile.arrays import Complex, Floats
 from tactile.sensing.bender import Bender, Deviations
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 
 REFERENCE = 300.0
 """Frequency to which the logarithms of frequencies refer [Hz]."""
@@ -73,7 +73,7 @@ class Baseline:
         Root mean square of what the fit leaves of the charge, relative to the capacitance.
     faults : tuple of N str
         Why the baseline of a channel must not be used; empty if it may be.
-    hysteresis : Hysteresis
+    hysteresis : PlayModel
         Effective voltage to which all this refers.
     """
 
@@ -84,7 +84,7 @@ class Baseline:
     resonance: Floats
     residual: Floats
     faults: tuple[str, ...]
-    hysteresis: Hysteresis
+    hysteresis: PlayModel
 
     def charge(self, frequency: Floats) -> Complex:
         """Compute the charge of the dielectric as it is measured.
@@ -161,7 +161,7 @@ def fit_baseline(
     *,
     deviation: Floats | None = None,
     clipped: NDArray[np.bool_] | None = None,
-    hysteresis: Hysteresis | None = None,
+    hysteresis: PlayModel | None = None,
 ) -> Baseline:
     """Fit the baseline to admittances that were measured in air.
 
@@ -179,7 +179,7 @@ def fit_baseline(
         [S].
     clipped : (N, F) array of bool, optional
         Whether the converter clipped at a line.
-    hysteresis : Hysteresis, optional
+    hysteresis : PlayModel, optional
         Hysteresis of the channels; by default they have none.
 
     Returns
@@ -202,7 +202,7 @@ def fit_baseline(
     stiffness, coupling, loss, skew, capacitance, resonance, residual = columns
     return Baseline(
         bender, Deviations(stiffness, coupling, loss), skew, capacitance, resonance, residual,
-        tuple(faults), hysteresis or Hysteresis.none(len(charge)),
+        tuple(faults), hysteresis or PlayModel.none(len(charge)),
     )  # fmt: skip
 
 

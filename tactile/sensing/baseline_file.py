@@ -21,7 +21,7 @@ from tactile.files import check_target, write_whole
 from tactile.sensing.admittance import Admittances
 from tactile.sensing.baseline import ORDER, Baseline
 from tactile.sensing.bender import Bender, Deviations
-from tactile.sensing.hysteresis import Hysteresis
+from tactile.sensing.hysteresis import PlayModel
 
 FORMAT = 2
 """Version of the format."""
@@ -315,7 +315,7 @@ def _calibration(columns: dict[str, NDArray[np.generic]]) -> Calibration:
     baseline = Baseline(
         bender, deviations, f["skew_s"], c["capacitance_f"], f["resonance_hz"], f["residual"],
         tuple(map(str, columns["faults"])),
-        Hysteresis(f["hysteresis_radius_v"], f["hysteresis_weight"]),
+        PlayModel(f["hysteresis_radius_v"], f["hysteresis_weight"]),
     )  # fmt: skip
     measured = Admittances(
         f["lines_hz"], c["admittance_s"], f["deviation_s"], f["noise_a"],

@@ -24,7 +24,7 @@ LONGEST = 16
 
 
 @dataclass(frozen=True)
-class Hysteresis:
+class PlayModel:
     """Prandtl–Ishlinskii model of N benders.
 
     Attributes
@@ -39,7 +39,7 @@ class Hysteresis:
     weights: Floats
 
     @classmethod
-    def none(cls, contactors: int) -> "Hysteresis":
+    def none(cls, contactors: int) -> "PlayModel":
         """Return the model of benders without hysteresis, which has no play operators.
 
         Parameters
@@ -49,7 +49,7 @@ class Hysteresis:
 
         Returns
         -------
-        Hysteresis
+        PlayModel
             Model whose effective voltage is the drive.
         """
         return cls(np.zeros((contactors, 0)), np.zeros((contactors, 0)))
@@ -71,7 +71,7 @@ class Hysteresis:
         apart = (self.weights * np.minimum(inside, amplitude - inside)).sum(axis=1)
         return np.asarray(apart / (amplitude + (self.weights * (amplitude - inside)).sum(axis=1)))
 
-    def inverse(self) -> "Hysteresis":
+    def inverse(self) -> "PlayModel":
         """Return the model whose effective voltage is the drive of this one.
 
         The virgin curve u + Σ w_j max(u − r_j, 0) has the slopes m_j = 1 + Σ_{i ≤ j} w_i behind its
@@ -79,12 +79,12 @@ class Hysteresis:
 
         Returns
         -------
-        Hysteresis
+        PlayModel
             Inverse model.
         """
         corners = np.maximum(self.radii[:, :, None] - self.radii[:, None], 0)
         slopes = np.cumsum(np.insert(self.weights, 0, 1.0, axis=1), axis=1)
-        return Hysteresis(
+        return PlayModel(
             self.radii + np.einsum("nri,ni->nr", corners, self.weights), np.diff(1 / slopes, axis=1)
         )
 
@@ -94,11 +94,11 @@ class HysteresisStream:
 
     Parameters
     ----------
-    model : Hysteresis
+    model : PlayModel
         Model of N benders.
     """
 
-    def __init__(self, model: Hysteresis) -> None:
+    def __init__(self, model: PlayModel) -> None:
         self._radii, self._weights = model.radii.T.copy(), model.weights.T.copy()
         self._smallest = model.radii.min(axis=0) if model.weights.any() else np.zeros(0)
         """Smallest radius of each play operator among the contactors; empty if there is none."""
@@ -142,11 +142,11 @@ class EffectiveVoltage:
 
     Parameters
     ----------
-    hysteresis : Hysteresis
+    hysteresis : PlayModel
         Hysteresis of N contactors.
     """
 
-    def __init__(self, hysteresis: Hysteresis) -> None:
+    def __init__(self, hysteresis: PlayModel) -> None:
         self._hysteresis = hysteresis
         self.restart()
 

@@ -18,7 +18,7 @@ from tactile.arrays import Complex, Floats
 from tactile.sensing.admittance import AirWindows
 from tactile.sensing.calibration import FILLING, MeasuringLimits
 from tactile.sensing.correlation import LAGS
-from tactile.sensing.hysteresis import Hysteresis, HysteresisStream
+from tactile.sensing.hysteresis import HysteresisStream, PlayModel
 
 PLAYS, LEVELS = 48, 12
 """Numbers of play operators and of levels."""
@@ -104,7 +104,7 @@ def plan_loops(
     return LoopPlan(window, levels, end - STEADY * window, end, envelope * tone)
 
 
-def fit_hysteresis(plan: LoopPlan, windows: AirWindows) -> Hysteresis:
+def fit_hysteresis(plan: LoopPlan, windows: AirWindows) -> PlayModel:
     """Fit the hysteresis of each channel.
 
     Parameters
@@ -116,11 +116,11 @@ def fit_hysteresis(plan: LoopPlan, windows: AirWindows) -> Hysteresis:
 
     Returns
     -------
-    Hysteresis
+    PlayModel
         Model of each channel; without play operators that count where too few windows are usable.
     """
     radii = _denser(plan.levels[-1], PLAYS + 1)[:-1]
-    played = HysteresisStream(Hysteresis(radii[:, None], np.ones((PLAYS, 1))))
+    played = HysteresisStream(PlayModel(radii[:, None], np.ones((PLAYS, 1))))
     effective = played(np.repeat(plan.drive[:, None], PLAYS, axis=1)) - plan.drive[:, None]
     turn = np.exp(-2j * np.pi / plan.window * np.arange(len(plan.drive)))
     tones = [
@@ -131,7 +131,7 @@ def fit_hysteresis(plan: LoopPlan, windows: AirWindows) -> Hysteresis:
     weights = np.array(
         [_weights(row, plan.levels, share, radii) for row in _admittances(plan, windows)]
     )
-    fitted = Hysteresis(np.tile(radii, (len(weights), 1)), weights)
+    fitted = PlayModel(np.tile(radii, (len(weights), 1)), weights)
     weights[fitted.loop_width(plan.levels[-1]) < SMALLEST] = 0
     return fitted
 

@@ -18,6 +18,8 @@ from cli_rig import recorded
 from playback_rig import FIDELITY, RATE, SLIDE, played, stroke, swing
 from scipy.signal import butter, sosfilt
 
+from tactile.actuator.finger import FingerLoad
+from tactile.actuator.response import tip_response
 from tactile.arrays import Floats
 from tactile.bus.base import Bus, DriveBlock
 from tactile.bus.simulated.mock_bus import MockBus
@@ -129,6 +131,13 @@ def test_the_recording_holds_what_was_played(
     np.testing.assert_allclose(r["contactors_mm"], display.contactors * 1e3, rtol=1e-15)
 
 
+def in_air(display: Display, frequency: Floats) -> Floats:
+    """Return the size of the response of a free tip [m/V]."""
+    return np.asarray(
+        np.abs(tip_response(display.bimorph, FingerLoad.none(), frequency).displacement)
+    )
+
+
 def test_the_summary_says_what_the_recording_holds(
     display: Display, oak: Texture, tmp_path: Path
 ) -> None:
@@ -144,8 +153,10 @@ def test_the_summary_says_what_the_recording_holds(
     assert s.limited_samples == s.invalid_samples == 0
     assert s.faults == {}
     assert s.recording == str(target)
-    response = display.responses(np.arange(0.0, 1001.0, 10.0), RATE)
-    assert s.attainable_um == pytest.approx(np.abs(response).min() * 100e6, rel=1e-9)
+    frequency = np.arange(0.0, 1001.0, 10.0)
+    response = np.abs(display.responses(frequency, RATE))
+    volts = np.minimum(100, display.actuator.largest_travel / in_air(display, frequency))
+    assert s.attainable_um == pytest.approx((response * volts).min() * 1e6, rel=1e-9)
     assert 0 < s.equalizer_error_db < 0.1, "the equalizer's docstring says 0.04 dB"
     assert s.peak_current_ma is not None
     assert 0 < s.peak_current_ma < 10, "the display's limit"

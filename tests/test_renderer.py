@@ -162,7 +162,7 @@ def test_a_grating_is_played_within_a_tenth_of_a_decibel_and_a_degree(
     load = getattr(tactile.FingerLoad, finger)()
     display = few(tactile.load_display("reference-24", load=load), 0)
     path = tactile.Trajectory.line(speed=tone * 1e-3, duration=0.3 + 4 / tone)
-    r = tactile.render(display, grating(tmp_path), path)
+    r = tactile.render(display, grating(tmp_path, amplitude=0.2), path)  # survived without a finger
     played = felt(display, r.drive)[:, 0]
     late = r.time > r.time[-1] - 3 / tone
     turn = np.exp(-2j * np.pi * tone * r.time[late]) * np.hanning(late.sum())

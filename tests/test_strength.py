@@ -225,14 +225,14 @@ def test_the_automatic_gain_of_a_grating_is_what_the_limit_attains(
 
 @pytest.mark.parametrize("limit", ["slew", "current"])
 def test_what_limits_is_told(tmp_path: Path, pair: Display, limit: str) -> None:
-    """100 V at 700 Hz rise by 0.44 V/µs."""
+    """The 69 V at 700 Hz that a free tip survives rise by 0.3 V/µs."""
     slow = {"slew": 1e5} if limit == "slew" else {"current": 1e5 * pair.capacitance}
     limited = replace(pair, limits=replace(pair.limits, **slow))
     gain = automatic_gain(limited, ribs(tmp_path, 700.0, 2.0))
     assert gain.limit == limit
     able = reach(limited, STROKE).least_attainable(np.array([700.0]))[0]
     assert gain.value == pytest.approx(HEADROOM * able / 2e-6, rel=0.01)
-    assert able < 0.3 * reach(pair, STROKE).least_attainable(np.array([700.0]))[0]
+    assert able < 0.4 * reach(pair, STROKE).least_attainable(np.array([700.0]))[0]
 
 
 def test_an_asked_level_is_reached_where_the_limits_allow_it(pair: Display, calf: Texture) -> None:

@@ -64,6 +64,11 @@ class Actuator(Protocol):
         """Capacitance that the amplifier charges with each step [F]; 0 if there is none."""
         ...
 
+    @property
+    def largest_travel(self) -> float:
+        """Largest travel to a side that the actuator survives without a finger [m]; or infinite."""
+        ...
+
     def response(self, load: FingerLoad, frequency: Floats) -> ActuatorResponse:
         """Compute the response under a finger.
 

@@ -8,8 +8,9 @@ from tactile.actuator.actuator import ActuatorResponse
 from tactile.actuator.amplifier import Amplifier
 from tactile.actuator.bimorph import Bimorph
 from tactile.actuator.finger import FingerLoad
-from tactile.actuator.materials import LARGEST_FIELD
+from tactile.actuator.materials import LARGEST_FIELD, LARGEST_STRESS
 from tactile.actuator.plant import Plant
+from tactile.actuator.resonance import EULER_ROOT
 from tactile.actuator.response import tip_response
 from tactile.arrays import Floats
 
@@ -31,6 +32,19 @@ class BimorphActuator:
         """Capacitance at rest, clamped segment included [F]."""
         r = tip_response(self.bimorph, FingerLoad.none(), [1.0])
         return float((r.admittance / (2j * np.pi * r.frequency)).real[0])
+
+    @property
+    def largest_travel(self) -> float:
+        """Travel at which the free bender, at its resonance, reaches `LARGEST_STRESS` [m].
+
+        The first mode of a slender cantilever has the curvature λ² x/l² at the clamp, with λ² =
+        3.516 and the tip's travel x (any textbook). The outer fibers of the ceramic are there
+        strained by half the height times that.
+        """
+        b = self.bimorph
+        strain = LARGEST_STRESS * np.asarray(b.piezo.s11E)
+        curvature = strain / (np.asarray(b.height) / 2)
+        return float(curvature * np.asarray(b.length) ** 2 / EULER_ROOT**2)
 
     def response(self, load: FingerLoad, frequency: Floats) -> ActuatorResponse:
         """Compute the response of the tip under a finger.

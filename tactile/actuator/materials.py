@@ -25,6 +25,10 @@ VACUUM_PERMITTIVITY = 8.8541878128e-12
 LARGEST_FIELD = 0.4e6
 """Largest field allowed in a piezo layer: half the coercive field of a soft PZT, which is about 8
 kV/cm [V/m]."""
+LARGEST_STRESS = 27.6e6
+"""Largest tensile stress allowed in a piezo layer that swings: 4000 psi, the dynamic strength of
+PZT-5A that is quoted from Berlincourt, Krueger & Near (Morgan TP-226), which could not be checked;
+assumed for all ceramics [Pa]."""
 
 
 def require_positive(owner: str, **values: Real) -> None:

@@ -4,6 +4,7 @@ Nothing is modeled: the measurement is the response, and the electrical side is 
 inductance in series. The simulation in time is a filter that has the measured response.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -51,6 +52,15 @@ class VoiceCoil:
     def capacitance(self) -> float:
         """Capacitance, of which a coil has none [F]."""
         return 0.0
+
+    @property
+    def largest_travel(self) -> float:
+        """Largest travel without a finger, of which nothing was measured: there is no limit [m].
+
+        The response is that under a finger, so that a travel in air cannot be predicted. Nothing
+        brittle bends: what a coil withstands is its current, which `overload` bounds.
+        """
+        return math.inf
 
     def response(self, load: FingerLoad, frequency: Floats) -> ActuatorResponse:
         """Return the measured response.

@@ -285,6 +285,38 @@ class Display:
             table.append([model.displacement * volts, *(m.at(frequency) for m in self.measured)])
         return np.array(table)
 
+    def response_in_air(self, frequency: Floats, sample_rate: float) -> Complex:
+        """Compute the displacement of a contactor without a finger per volt of drive.
+
+        It is that of the model, also for contactors whose response under the finger was measured.
+
+        Parameters
+        ----------
+        frequency : (F,) array of float
+            Frequencies [Hz].
+        sample_rate : float
+            Sample rate of the drive, which matters to an amplifier that holds [Hz].
+
+        Returns
+        -------
+        (F,) complex array
+            Displacement per volt, amplifier included [m/V].
+
+        Examples
+        --------
+        A free bender swings 51 times as far at its resonance as at rest:
+
+        >>> import numpy as np
+        >>> import tactile
+        >>> display = tactile.load_display("reference-24")
+        >>> size = np.abs(display.response_in_air(np.array([0.0, 930.0]), 8000.0))
+        >>> round(float(size[1] / size[0]))
+        51
+        """
+        model = self.actuator.response(FingerLoad.none(), frequency)
+        volts = self.amplifier.response(frequency, model.admittance, sample_rate)
+        return np.asarray(model.displacement * volts)
+
     def to_channels(self, drive: Floats) -> Floats:
         """Assign the drive of contactors to channels.
 

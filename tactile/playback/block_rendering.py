@@ -32,6 +32,8 @@ class SamplePlayback:
         Sample rate of the drive [Hz].
     inverse : EqualizerLike, optional
         What turns shear into volts, as in `Renderer`.
+    guarded : bool
+        Whether guards in the amplifier watch the free tips, as in `Renderer`.
 
     Attributes
     ----------
@@ -52,10 +54,17 @@ class SamplePlayback:
     first = LOOK_AHEAD
 
     def __init__(
-        self, display: Display, sample_rate: float, inverse: EqualizerLike | None = None
+        self,
+        display: Display,
+        sample_rate: float,
+        inverse: EqualizerLike | None = None,
+        *,
+        guarded: bool = False,
     ) -> None:
         self._display, self._rate = display, sample_rate
-        self._renderer = Renderer(display, None, sample_rate=sample_rate, inverse=inverse)
+        self._renderer = Renderer(
+            display, None, sample_rate=sample_rate, inverse=inverse, guarded=guarded
+        )
         self.timed = self._renderer.delay
         self.shear = self.drive = np.zeros(len(display.contactors))
 
@@ -179,7 +188,7 @@ class FramePlayback:
         self._playing: list[tuple[SpectrumRenderer, float]] = []
         rate = self._rate / self.spacing
         self.carriers = band_carriers(frames.carriers, rate, self._rate)
-        self._limiter = FrameLimiter(display, self.carriers, rate)
+        self._limiter = FrameLimiter(display, self.carriers, rate, sample_rate)
         self._rise = 0.0
         self.shear = self.drive = np.zeros(len(display.contactors))
 

@@ -2,7 +2,8 @@
 
 Everything before the limiter is linear in the gain: the drive is g v + f, with the drive v of the
 texture at gain 1 and the drive f of its friction, which has no gain. Both are rendered, and the
-gain is the largest at which no sample exceeds the voltage limit and no step the slew limit.
+gain is the largest at which no sample exceeds the voltage limit, no step the slew limit, and no
+free tip would travel further than it survives.
 """
 
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.playback.trajectory_playback import rendered
 from tactile.rendering.contact import Trajectory
+from tactile.rendering.free_tip import FreeTip, free_tip_of, largest_share
 from tactile.rendering.renderer import Renderer
 from tactile.strength.figures import ONSET
 from tactile.strength.strength import FAINT, amplified
@@ -37,7 +39,8 @@ class LargestGain:
     value : float
         Gain of the texture.
     limit : str
-        Limit that is reached: "voltage", "slew", or "current" where it bounds the slew rate.
+        Limit that is reached: "voltage", "slew", or "current" where it bounds the slew rate, or
+        "travel" of a tip without a finger.
     """
 
     value: float
@@ -72,8 +75,44 @@ class _Bound:
         self.highest = max(self.highest, float(size.max()))
 
 
+class _TravelBound:
+    """Largest gain at which no free tip swings further than a limit, so far.
+
+    Parameters
+    ----------
+    tip : FreeTip or None
+        Model of the tip; None if nothing bounds its travel.
+    contactors : int
+        Number of contactors.
+
+    Attributes
+    ----------
+    gain : float
+        Largest gain; infinite as long as there is nothing to multiply.
+    """
+
+    def __init__(self, tip: FreeTip | None, contactors: int) -> None:
+        self._tip, self.gain = tip, np.inf
+        self._states = np.zeros((2, contactors), np.complex128)
+
+    def add(self, scaled: Floats, fixed: Floats) -> None:
+        """Add samples of a drive: what the gain multiplies, and the rest, both (S, N)."""
+        if self._tip is not None:
+            added = self._tip.swing(scaled, self._states[0])
+            held = self._tip.swing(fixed, self._states[1])
+            self._states = np.stack([added[-1], held[-1]])
+            share = largest_share(held, added, LIMIT_SHARE * self._tip.largest)
+            self.gain = min(self.gain, share)
+
+
 def largest_gain(
-    display: Display, texture: Texture, trajectory: Trajectory, *, sample_rate: float, seed: int = 0
+    display: Display,
+    texture: Texture,
+    trajectory: Trajectory,
+    *,
+    sample_rate: float,
+    seed: int = 0,
+    guarded: bool = False,
 ) -> LargestGain:
     """Compute the largest gain at which a stroke stays within the limits.
 
@@ -89,6 +128,8 @@ def largest_gain(
         Sample rate of the drive [Hz].
     seed : int
         Seed of the surface's realization.
+    guarded : bool
+        Whether guards in the amplifier watch the free tips, as in `Renderer`.
 
     Returns
     -------
@@ -112,6 +153,8 @@ def largest_gain(
     friction = Renderer(display, smooth, sample_rate=sample_rate, seed=seed)
     voltage = _Bound(LIMIT_SHARE * display.limits.voltage)
     slew = _Bound(LIMIT_SHARE * display.slew / sample_rate)
+    tip = None if guarded else free_tip_of(display, sample_rate)
+    travel = _TravelBound(tip, len(display.contactors))
     last = np.zeros((2, 1, len(display.contactors)))
     samples = 0
     for (vibrating, _), (rubbing, _) in zip(
@@ -122,6 +165,7 @@ def largest_gain(
         drive = np.stack([vibrating / FAINT, rubbing])
         voltage.add(*drive)
         slew.add(*np.diff(drive, axis=1, prepend=last))
+        travel.add(*drive)
         last = drive[:, -1:]
         samples += drive.shape[1]
         if samples >= LONGEST * sample_rate:
@@ -131,5 +175,6 @@ def largest_gain(
     name = "slew" if display.slew >= display.limits.slew else "current"
     return min(
         LargestGain(voltage.gain, "voltage"), LargestGain(slew.gain, name),
+        LargestGain(travel.gain, "travel"),
         key=lambda gain: gain.value,
     )  # fmt: skip

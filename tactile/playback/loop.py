@@ -110,7 +110,10 @@ class PlaybackLoop(Mixer):
     ) -> None:
         rate = bus.wiring.sample_rate
         inverse = None if following is None else following.follower
-        super().__init__(display, rate, bus.frames, gain=gain, worn=worn, inverse=inverse)
+        super().__init__(
+            display, rate, bus.frames, gain=gain, worn=worn,
+            inverse=inverse, guarded=following is not None and bus.guards,
+        )  # fmt: skip
         self.bus, self.memory, self.clock, self.following = bus, memory, clock, following
         self._session = session
         self.report = PlaybackReport(sample_rate=rate)

@@ -82,6 +82,8 @@ class Mixer:
         Whether the finger stays on the display although it touches nothing.
     inverse : EqualizerLike, optional
         What turns shear into volts on a link that takes samples, as in `Renderer`.
+    guarded : bool
+        Whether guards in the amplifier watch the free tips on such a link, as in `Renderer`.
 
     Attributes
     ----------
@@ -112,12 +114,13 @@ class Mixer:
         gain: float,
         worn: bool,
         inverse: EqualizerLike | None = None,
+        guarded: bool = False,
     ) -> None:
         self.display, self.gain, self.worn = display, gain, worn
         self.textures: dict[int, RealizedLayer | SpectrumRenderer] = {}
         self.voices: dict[int, Voice] = {}
         self.rendering: SamplePlayback | FramePlayback = (
-            SamplePlayback(display, sample_rate, inverse)
+            SamplePlayback(display, sample_rate, inverse, guarded=guarded)
             if frames is None
             else FramePlayback(display, sample_rate, frames)
         )

@@ -401,17 +401,15 @@ def run(
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
         following = None if calibration is None else FingerFollowing(display, bus, calibration)
-        _set_gain(summary, gain, display, texture, trajectory, seed)
+        watched = following is not None and bus.guards
+        _set_gain(summary, gain, display, texture, trajectory, seed, watched)
         surface, waveform = _amplified(display, texture, summary.gain, rate)
         try:
             with guarded(bus, device), threadpool_limits(1):  # whose number changes the last bits
                 if bus.frames is not None:
                     _play_frames(summary, display, surface, trajectory, bus, seed, record)
                 else:
-                    renderer = Renderer(
-                        display, surface, sample_rate=rate, seed=seed,
-                        inverse=None if following is None else following.follower,
-                    )  # fmt: skip
+                    renderer = _renderer(display, surface, rate, seed, following, watched)
                     recorder = _recorder(
                         summary, display, trajectory, seed, record, sources, waveform
                     )
@@ -434,6 +432,19 @@ def run(
     return summary
 
 
+def _renderer(
+    display: Display,
+    surface: Texture | None,
+    rate: float,
+    seed: int,
+    following: FingerFollowing | None,
+    watched: bool,
+) -> Renderer:
+    """Return the renderer of a stroke, whose filters may follow the finger."""
+    inverse = None if following is None else following.follower
+    return Renderer(display, surface, sample_rate=rate, seed=seed, inverse=inverse, guarded=watched)
+
+
 def _asked_for_currents(url: str, record: str | Path | None) -> str:
     """Return the URL of a device that is asked for what a stroke needs to follow the finger."""
     if record is not None:
@@ -451,6 +462,7 @@ def _set_gain(
     texture: Texture | NamedEffect,
     trajectory: Trajectory,
     seed: int,
+    watched: bool,
 ) -> None:
     """Note the gain in the summary; if it is the largest, with the limit that it reaches."""
     if gain != "auto":
@@ -459,7 +471,9 @@ def _set_gain(
     if isinstance(texture, NamedEffect):
         raise InputError(f"gain auto cannot be used with the effect {texture.name}: give a number")
     rate = summary.sample_rate_hz
-    largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
+    largest = largest_gain(
+        display, texture, trajectory, sample_rate=rate, seed=seed, guarded=watched
+    )
     summary.gain, summary.gain_limit = largest.value, largest.limit
 
 

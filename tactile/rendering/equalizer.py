@@ -72,19 +72,19 @@ def roll_off(frequency: Floats) -> Floats:
     return np.asarray((1 + np.cos(np.pi * beyond)) / 2)
 
 
-def attainable(response: Complex, voltage: float) -> Floats:
-    """Compute the peak shear that a sinusoid at the voltage limit gives.
+def attainable(response: Complex, voltage: float | Floats) -> Floats:
+    """Compute the peak shear that a sinusoid at the limits of the drive gives.
 
     Parameters
     ----------
-    response : (...) array of complex
+    response : (..., F) array of complex
         Shear per volt [m/V].
-    voltage : float
+    voltage : float or (F,) array of float
         Amplitude of the drive [V].
 
     Returns
     -------
-    (...) array of float
+    (..., F) array of float
         Peak shear [m].
     """
     return np.asarray(np.abs(response) * voltage)

@@ -1,11 +1,12 @@
 """Limiter: the last stage before the drive, which no voltage bypasses.
 
-It has two stages. The first looks eight samples ahead and applies one gain, common to all
+It has three stages. The first looks eight samples ahead and applies one gain, common to all
 contactors so that the tactile image keeps its shape. The gain falls before a sample that would
 break a limit and recovers slowly after it: nothing is clipped, and nothing is changed where no
-limit is near. The second stage bounds the step from sample to sample unconditionally, by going only
-part of the way in all contactors alike; a drive without jumps, whose steps need no reduction, never
-makes it act. Both stages count what they do.
+limit is near. The second lowers that gain further where the drive would swing a tip without a
+finger further than it survives (`travel`). The third bounds the step from sample to sample
+unconditionally, by going only part of the way in all contactors alike; a drive without jumps, whose
+steps need no reduction, never makes it act. All stages count what they do.
 """
 
 import numpy as np
@@ -13,6 +14,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tactile.arrays import Floats
+from tactile.rendering.free_tip import FreeTip
+from tactile.rendering.travel import TravelStage
 
 LOOK_AHEAD = 8
 """Look-ahead, which is also the delay of the limiter [samples]: 1 ms at 8 kHz."""
@@ -39,6 +42,8 @@ class Limiter:
         Sample rate [Hz].
     channels : int
         Number of channels, N.
+    tip : FreeTip, optional
+        Model of each contactor without a finger, whose travel is then bounded as well.
 
     Attributes
     ----------
@@ -54,7 +59,15 @@ class Limiter:
 
     delay = LOOK_AHEAD
 
-    def __init__(self, voltage: float, step: float, *, sample_rate: float, channels: int) -> None:
+    def __init__(
+        self,
+        voltage: float,
+        step: float,
+        *,
+        sample_rate: float,
+        channels: int,
+        tip: FreeTip | None = None,
+    ) -> None:
         self._voltage = voltage * (1 - ROUNDING)
         self._step = step * (1 - ROUNDING)
         self._recovery = np.exp(-1 / (RELEASE * sample_rate))
@@ -63,6 +76,12 @@ class Limiter:
         self._held = np.ones(LOOK_AHEAD)
         self._last = np.zeros(channels)
         self._idle = True
+        self._travel = None
+        if tip is not None:
+            self._travel = TravelStage(
+                tip, self._voltage, self._step,
+                recovery=float(self._recovery), ahead=LOOK_AHEAD, channels=channels,
+            )  # fmt: skip
         self.limited_samples = 0
         self.guarded_samples = 0
         self.invalid_samples = 0
@@ -92,11 +111,24 @@ class Limiter:
             highest = np.abs(line).max()
         count = len(volts)
         self._waiting, out = line[count:], line[1 : count + 1]
-        if self._idle and highest <= self._voltage and 2 * highest <= self._step:
+        within = self._idle and highest <= self._voltage and 2 * highest <= self._step
+        if within and (self._travel is None or self._travel.passes(line[1:], highest)):
             self._last = self._waiting[0]
             return out.copy()
-        out = self._guard(out * self._gain(line)[:, None])
+        out = self._limited(line)
         self._rest()
+        return out
+
+    def _limited(self, line: Floats) -> Floats:
+        """Return the drive (S, N) that all stages make of the input, and count what they do."""
+        gain = self._gain(line)
+        if self._travel is None:
+            out = self._guard(line[1 : len(gain) + 1] * gain[:, None])
+        else:
+            out, gain, guarded = self._travel(line[1:], gain, self._last)
+            self._last = out[-1].copy()
+            self.guarded_samples += guarded
+        self.limited_samples += int(np.count_nonzero(gain < 1 - 1e-6))
         return out
 
     def _cleaned(self, volts: Floats) -> Floats:
@@ -133,7 +165,6 @@ class Limiter:
         held = np.concatenate([self._held, np.minimum(lowest, released)])
         self._held = held[len(over) :]
         gain = sliding_window_view(held, LOOK_AHEAD + 1).mean(axis=1)
-        self.limited_samples += int(np.count_nonzero(gain < 1 - 1e-6))
         return np.asarray(gain)
 
     def _guard(self, target: Floats) -> Floats:

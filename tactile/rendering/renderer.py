@@ -19,6 +19,7 @@ from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
 from tactile.rendering.contact import Trajectory
+from tactile.rendering.free_tip import free_tip_of, travel_voltage
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import Limiter
 from tactile.rendering.skin_stretch import Bristles, Stretch
@@ -132,6 +133,8 @@ class Renderer:
         Seed of the surface's realization.
     inverse : EqualizerLike, optional
         What turns shear into volts in place of the inverse ``filter``, of the N contactors.
+    guarded : bool
+        Whether guards in the amplifier turn down contactors that lose the finger.
 
     Attributes
     ----------
@@ -144,8 +147,8 @@ class Renderer:
     frequency : (F,) array of float
         Frequencies of ``attainable`` [Hz].
     attainable : (L, N, F) array of float
-        Peak shear of a sinusoid at the voltage limit, per force of the finger's table, contactor
-        and frequency [m].
+        Peak shear of a sinusoid at the voltage limit, or at the smaller drive that a free tip
+        survives, per force of the finger's table, contactor and frequency [m].
 
     Raises
     ------
@@ -173,6 +176,7 @@ class Renderer:
         sample_rate: float = 8000.0,
         seed: int = 0,
         inverse: equalizer.EqualizerLike | None = None,
+        guarded: bool = False,
     ) -> None:
         if not equalizer.LOWEST_RATE <= sample_rate <= FASTEST:
             raise InputError(
@@ -187,7 +191,7 @@ class Renderer:
         self._equalizer = inverse or equalizer.Equalizer(
             self.filter, kind=display.kind, polarity=display.polarity, forces=display.load_forces
         )
-        self.limiter = _limiter(display, sample_rate)
+        self.limiter = limiter_of(display, sample_rate, guarded=guarded)
         self._fade_step = 1 / (display.limits.fade * sample_rate)
         self._fade = Ramp(self._fade_step, 1.0)
         self._layers: list[tuple[RealizedLayer, Ramp]] = []
@@ -196,7 +200,10 @@ class Renderer:
             self._add(RealizedLayer(display, texture, seed=seed), Ramp(self._fade_step, 1.0))
         self.delay = self._equalizer.delay + self.limiter.delay
         self.frequency = frequency
-        self.attainable = equalizer.attainable(response[:, display.kind], display.limits.voltage)
+        volts = np.full(len(frequency), display.limits.voltage)
+        if not guarded:
+            volts = np.minimum(volts, travel_voltage(display, frequency, sample_rate))
+        self.attainable = equalizer.attainable(response[:, display.kind], volts)
         at_rest = self.attainable[:, :, 0].min(axis=1)
         self._stretch = Stretch(display, at_rest, sample_rate, CHUNK + NODE)
         self._invalid = 0
@@ -360,14 +367,30 @@ class Renderer:
         return self._fade(shear)
 
 
-def _limiter(display: Display, sample_rate: float) -> Limiter:
-    """Return the limiter of a display's drive."""
-    limits = display.limits
+def limiter_of(display: Display, sample_rate: float, *, guarded: bool = False) -> Limiter:
+    """Create the limiter of a display's drive.
+
+    Parameters
+    ----------
+    display : Display
+        Display that plays.
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    guarded : bool
+        Whether guards in the amplifier turn down contactors that lose the finger. Then the limiter
+        does not bound the travel that the drive would give without one.
+
+    Returns
+    -------
+    Limiter
+        Limiter of the N contactors.
+    """
     return Limiter(
-        limits.voltage,
+        display.limits.voltage,
         display.slew / sample_rate,
         sample_rate=sample_rate,
         channels=len(display.contactors),
+        tip=None if guarded else free_tip_of(display, sample_rate),
     )
 
 

@@ -32,7 +32,9 @@ frequency and to first order in its logarithm.
 **Limits**. A sum of carriers never exceeds Σ|Z_p|, and between frames it stays below the larger of
 its ends. Frames are turned down, all contactors alike, until that sum holds the voltage limit and
 its slope the slew: no clamp ever acts, at the price of 1–2 dB less than a limiter of samples
-allows.
+allows. The same sum bounds the travel of a tip without a finger (`free_tip`). Since the envelope
+moves what a carrier plays away from it, each carrier counts with the largest response in air within
+R of it.
 
 **Not carried** are sparse events and streamed waveforms, which are not partials; `python -m
 benchmarks spectrum` tells what textures with events lose by it. Friction (`skin_stretch`) is not
@@ -49,6 +51,7 @@ from tactile.arrays import Complex, Floats
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering import equalizer
+from tactile.rendering.free_tip import travel_voltage
 from tactile.rendering.limiter import RELEASE
 from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
@@ -79,6 +82,8 @@ RIDGE, AFAR = 0.1, 4.0
 distance."""
 ROUNDING = 10 ** (0.125 / 20)
 """Factor by which the wire may round an amplitude up: half a step of 0.25 dB."""
+NEAR = 41
+"""Number of frequencies around each carrier at which the response in air is computed."""
 MOST = 64
 """Largest number of carriers that the protocol allows."""
 SLOWEST = 20.0
@@ -239,7 +244,9 @@ class FrameLimiter:
     carriers : (P,) array of float
         Frequencies of carriers [Hz].
     frame_rate : float
-        Frame rate [Hz].
+        Frame rate R [Hz].
+    sample_rate : float
+        Sample rate of the amplifier [Hz].
 
     Attributes
     ----------
@@ -247,11 +254,20 @@ class FrameLimiter:
         Number of frames that were turned down.
     """
 
-    def __init__(self, display: Display, carriers: Floats, frame_rate: float) -> None:
+    def __init__(
+        self, display: Display, carriers: Floats, frame_rate: float, sample_rate: float
+    ) -> None:
         voltage = min(display.limits.voltage, display.slew / (4 * frame_rate)) / ROUNDING
         slope = display.slew - 2 * voltage * frame_rate
+        near = np.abs(carriers[:, None] + frame_rate * np.linspace(-1, 1, NEAR))
+        swinging = travel_voltage(display, near.ravel(), sample_rate).reshape(near.shape)
         self._limits = np.stack(
-            [np.full(len(carriers), 1 / voltage), 2 * np.pi * carriers * ROUNDING / slope], 1
+            [
+                np.full(len(carriers), 1 / voltage),
+                2 * np.pi * carriers * ROUNDING / slope,
+                ROUNDING / swinging.min(axis=1),
+            ],
+            axis=1,
         )
         self._held, self._let_go = 0.0, np.exp(-1 / (RELEASE * frame_rate))
         self.limited_frames = 0
@@ -334,7 +350,7 @@ class SpectrumRenderer:
         self._at = self._waves.phasors(display.contactors).astype(np.complex64)
         self._at_envelope = self._envelope.phasors(display.contactors)
         self._kinds = [np.flatnonzero(display.kind == c) for c in range(self._table.shape[1])]
-        self.limiter = FrameLimiter(display, self.carriers, rate)
+        self.limiter = FrameLimiter(display, self.carriers, rate, sample_rate)
         self._last = np.zeros(2)
         self.sample = self.invalid_frames = 0
 

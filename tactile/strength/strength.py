@@ -23,8 +23,8 @@ from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.errors import InputError
 from tactile.rendering.contact import LARGEST_FORCE, LARGEST_SPEED, Trajectory
-from tactile.rendering.limiter import Limiter
-from tactile.rendering.renderer import Renderer
+from tactile.rendering.free_tip import free_tip_of, travel_voltage
+from tactile.rendering.renderer import Renderer, limiter_of
 from tactile.rendering.shear import CONTACT_FORCE
 from tactile.rendering.skin_stretch import STROKE_SHARE
 from tactile.strength.commanded import LineSpectrum, commanded_lines
@@ -184,7 +184,7 @@ class Reach:
     transfer : (C, F) array of float
         Delivered per commanded shear: 1 where the inverse is not bounded.
     attainable : (C, F) array of float
-        Peak shear of a sinusoid at the voltage and slew limits [m].
+        Peak shear of a sinusoid at the limits of voltage, slew rate and travel in air [m].
     share : (C,) array of float
         Contribution of each kind to the mean square over all contactors: the number of its
         contactors, weighted by the squared cosine of the motion where shear is projected, relative
@@ -335,6 +335,7 @@ def reach(display: Display, stroke: SteadyStroke) -> Reach:
     gain = np.abs(taps @ turns)
     steepest = 2 * SAMPLE_RATE * np.sin(np.pi * np.minimum(frequency / SAMPLE_RATE, 0.5))
     volts = np.minimum(display.limits.voltage, display.slew / np.maximum(steepest, 1e-9))
+    volts = np.minimum(volts, travel_voltage(display, frequency, SAMPLE_RATE))
     cosine = np.ones(len(display.kind))
     if display.projected:
         cosine = np.abs(display.shear_axes @ stroke.direction)
@@ -465,7 +466,25 @@ class Trial:
         slewing = "slew" if self.display.slew >= limits.slew else "current"
         by_voltage = self.room * limits.voltage / max(self.peak, 1e-30)
         by_slew = self.display.slew / SAMPLE_RATE / max(self.step, 1e-30)
-        return (by_voltage, "voltage") if by_voltage <= by_slew else (by_slew, slewing)
+        return min((by_voltage, "voltage"), (by_slew, slewing), (self._gain_by_travel, "travel"))
+
+    @property
+    def _gain_by_travel(self) -> float:
+        """Gain at which the drive would swing a free tip to its largest travel."""
+        tip = free_tip_of(self.display, SAMPLE_RATE)
+        if tip is None:
+            return np.inf
+        swing = tip.swing(self._played, np.zeros(self.drive.shape[2], np.complex128))
+        free = tip.largest - (1 - self.room) * self.display.limits.voltage
+        return float(free / max(np.abs(swing).max(), 1e-30))
+
+    @property
+    def _played(self) -> Floats:
+        """Drive of one stroke after the other (K·S, N), each with soft ends [V]."""
+        count, channels = self.drive.shape[1:]
+        from_end = np.minimum(np.arange(count), np.arange(count)[::-1]) / SAMPLE_RATE
+        taper = np.sin(np.pi / 2 * np.minimum(from_end / TAPER, 1)) ** 2
+        return np.asarray((self.drive * taper[:, None]).reshape(-1, channels))
 
     def limited(self, gain: float, held: Floats) -> "Limited":
         """Measure how much the limiter takes at a gain.
@@ -482,14 +501,9 @@ class Trial:
         Limited
             What is limited, and what is left.
         """
-        places, count, channels = self.drive.shape
-        limiter = Limiter(
-            self.display.limits.voltage, self.display.slew / SAMPLE_RATE,
-            sample_rate=SAMPLE_RATE, channels=channels,
-        )  # fmt: skip
-        from_end = np.minimum(np.arange(count), np.arange(count)[::-1]) / SAMPLE_RATE
-        taper = np.sin(np.pi / 2 * np.minimum(from_end / TAPER, 1)) ** 2
-        vibration = gain * (self.drive * taper[:, None]).reshape(-1, channels)
+        places, count, _ = self.drive.shape
+        limiter = limiter_of(self.display, SAMPLE_RATE)
+        vibration = gain * self._played
         target = vibration + held
         played = limiter(np.pad(target, ((0, limiter.delay), (0, 0))))[limiter.delay :]
         largest = np.abs(target).max(axis=1)
@@ -569,7 +583,8 @@ class Gain:
     value : float
         Factor to multiply a texture by (`amplified`, or `Renderer.play`).
     limit : str
-        What forbids more: "voltage", "slew", "current", or "level" for a level that was requested.
+        What forbids more: "voltage", "slew", "current", "travel" of a tip without a finger, or
+        "level" for a level that was requested.
     level : float
         Level of the channel that feels most [dB SL].
     channel : str

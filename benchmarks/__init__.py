@@ -30,6 +30,7 @@ from benchmarks.spectrum import measure_spectrum
 from benchmarks.startup import measure_startup
 from benchmarks.study import measure_study
 from benchmarks.tracking import measure_tracking
+from benchmarks.travel import measure_travel
 from benchmarks.waves import measure_waves
 from tactile.bench import Benchmark
 from tactile.bench.resources import measure_jitter, measure_memory, measure_speed
@@ -57,6 +58,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "fit": measure_fit,
     "finger": measure_finger,
     "tracking": measure_tracking,
+    "travel": measure_travel,
     "latency": measure_latency,
     "waves": measure_waves,
     "crowd": crowd.measure_crowd,

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from following_rig import (
     BLOCK,
+    ME,
     NAME,
     RATE,
     WINDOW,
@@ -341,6 +342,20 @@ def test_a_guard_turns_a_contactor_down_until_the_free_bender_plays(
             changes = sum(one != other for one, other in pairwise(course))
             assert (changes, course[-1]) == (2 if guarded else 0, False)
     assert np.all(shear[True] < shear[False] / 3)
+
+
+@pytest.mark.parametrize(("calibrated", "guarded"), [(True, True), (True, False), (False, True)])
+def test_the_host_leaves_free_tips_to_guards_that_it_sets(
+    two: Pair, monkeypatch: pytest.MonkeyPatch, calibrated: bool, guarded: bool
+) -> None:
+    """10 µm at 920 Hz, which a free tip would not survive, play under a finger with guards only."""
+    monkeypatch.setattr(SimulatedDisplay, "guards", guarded)
+    with staged(two[0], MID, two[2] if calibrated else "") as stage:
+        stage.play(0.2, slides=True)
+        tone = 10e-6 * np.sin(2 * np.pi * 920 * np.arange(1600) / RATE)
+        stage.player.voice(ME).queue.append(tone.astype(np.float32), RATE, ())
+        stage.play(0.25, slides=True)
+        assert (stage.player.rendering.limited == 0) == (calibrated and guarded)
 
 
 def expecting_nothing(stage: Stage) -> GuardSettings:

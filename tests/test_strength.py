@@ -225,7 +225,7 @@ def test_the_automatic_gain_of_a_grating_is_what_the_limit_attains(
 
 @pytest.mark.parametrize("limit", ["slew", "current"])
 def test_what_limits_is_told(tmp_path: Path, pair: Display, limit: str) -> None:
-    """The 69 V at 700 Hz that a free tip survives rise by 0.3 V/µs."""
+    """The 70 V at 700 Hz that a free tip survives rise by 0.3 V/µs."""
     slow = {"slew": 1e5} if limit == "slew" else {"current": 1e5 * pair.capacitance}
     limited = replace(pair, limits=replace(pair.limits, **slow))
     gain = automatic_gain(limited, ribs(tmp_path, 700.0, 2.0))

@@ -26,10 +26,14 @@ from tactile.actuator.touch import Touch
 from tactile.actuator.touched_plant import TouchedPlant
 from tactile.arrays import Floats
 from tactile.display.display import Display, load_display
-from tactile.rendering.free_tip import free_tip_of, largest_share, travel_voltage
+from tactile.playback.gain_search import largest_gain
+from tactile.playback.runs import run
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.free_tip import FreeTip, free_tip_of, largest_share, travel_voltage
 from tactile.rendering.limiter import Limiter
 from tactile.rendering.renderer import Renderer, limiter_of
 from tactile.rendering.spectrum import FrameLimiter, band_carriers
+from tactile.rendering.travel import TravelStage
 from tactile.strength.strength import SteadyStroke, automatic_gain, texture_strength
 from tactile.texture.surface import load_texture
 
@@ -303,6 +307,62 @@ def test_whatever_comes_in_no_free_tip_swings_too_far(
     assert np.abs(in_air(display, out)).max() <= OTHER_MODES * display.actuator.largest_travel
 
 
+def _stage(display: Display, step: float, ahead: int = 0) -> tuple[FreeTip, TravelStage]:
+    """Return the model and the stage of two contactors at 100 V, whose gain recovers at once."""
+    tip = free_tip_of(display, RATE)
+    assert tip is not None
+    return tip, TravelStage(tip, 100.0, step, recovery=0.9, ahead=ahead, channels=2)
+
+
+@pytest.mark.parametrize("step", [5.0, 12.0, 30.0, 60.0, 90.0])
+def test_a_way_out_is_left_for_what_nobody_foresees(one: Display, step: float) -> None:
+    """Without look-ahead a drive of full voltage may turn at any sample; steps are exact, too."""
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        tip, stage = _stage(one, step)
+        turns = random.integers(1, 12, 60)
+        volts = np.repeat(random.choice([-99.0, 0.0, 50.0, 99.0], (60, 2)), turns, axis=0)
+        if seed % 2:  # steps that are small enough to pass as they are
+            volts = np.cumsum(np.clip(np.diff(volts, axis=0), -step, step) * 0.7, axis=0)
+            volts *= 99 / max(np.abs(volts).max(), 99)
+        out, last = [], np.zeros(2)
+        for part in np.array_split(volts, len(volts) // 3):
+            out.append(stage(part, np.ones(len(part)), last).drive)
+            last = out[-1][-1]
+        drive = np.concatenate(out)
+        assert np.abs(tip.swing(drive, np.zeros(2, complex))).max() <= tip.largest
+        assert np.abs(np.diff(drive, axis=0, prepend=0.0)).max() <= step * (1 + 1e-12)
+        assert np.abs(drive).max() <= 99.0 * (1 + 1e-12)
+
+
+def test_what_passes_leaves_a_way_out_at_each_sample(one: Display) -> None:
+    """The way out falls by 0.3 a sample; noise near the limit passes if it leaves that way."""
+    passed = 0
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        volts = random.normal(size=(24, 2))
+        tip, stage = _stage(one, 30.0)
+        rest = np.zeros(2, complex)
+        volts *= random.uniform(0.6, 1) * tip.largest / np.abs(tip.swing(volts, rest)).max()
+        if stage.passes(volts, float(np.abs(volts).max())):
+            passed += 1
+            for n in range(1, 25):
+                out = volts[n - 1] * 0.7 ** np.arange(1, 60)[:, None]
+                swing = tip.swing(np.concatenate([volts[:n], out]), rest)
+                assert np.abs(swing).max() <= tip.largest
+    assert 5 < passed < 60
+
+
+def test_what_exceeds_the_limit_between_two_looks_does_not_pass(one: Display) -> None:
+    """Noise whose swing exceeds the limit by 0.5 % at one sample, and by nothing elsewhere."""
+    for seed in range(40):
+        volts = np.random.default_rng(seed).normal(size=(40, 2))
+        tip, stage = _stage(one, 100.0, ahead=8)
+        volts *= 1.005 * tip.largest / np.abs(tip.swing(volts, np.zeros(2, complex))).max()
+        assert not stage.passes(volts, float(np.abs(volts).max()))
+        assert stage.passes(0.3 * volts, 0.3 * float(np.abs(volts).max()))
+
+
 @pytest.mark.ci
 @settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), sizes=st.lists(st.integers(0, 300), min_size=1, max_size=6))
@@ -374,6 +434,19 @@ def test_the_automatic_gain_names_the_travel(pair: Display) -> None:
     assert gain.limit == "travel"
     assert texture_strength(stiff, coin, stroke, gain=gain.value).limited_share == 0
     assert texture_strength(stiff, coin, stroke, gain=2 * gain.value).limited_share > 0
+
+
+def test_the_largest_gain_of_a_stroke_names_the_travel(pair: Display) -> None:
+    """The gain is the largest of a host that bounds the travel; with guards the voltage does."""
+    stiff = replace(pair, load=FingerLoad.high())
+    coin, line = load_texture("metal-coin-reeded"), Trajectory.line(speed=0.2, duration=1.0)
+    found = largest_gain(stiff, coin, line, sample_rate=RATE)
+    assert found.limit == "travel"
+    assert run(stiff, coin, line, device="mock:", gain=found.value).limited_samples == 0
+    assert run(stiff, coin, line, device="mock:", gain=1.05 * found.value).limited_samples > 0
+    watched = largest_gain(stiff, coin, line, sample_rate=RATE, guarded=True)
+    assert watched.limit == "voltage"
+    assert watched.value > 1.5 * found.value
 
 
 @pytest.mark.parametrize("frequency", [900.0, RESONANCE, 980.0])

@@ -145,7 +145,7 @@ def travel_voltage(display: Display, frequency: Floats, sample_rate: float) -> F
     >>> from tactile.rendering.free_tip import travel_voltage
     >>> display = tactile.load_display("reference-24")
     >>> travel_voltage(display, np.array([0.0, 250.0, 930.0]), 8000.0).round(1).tolist()
-    [151.8, 141.1, 2.9]
+    [151.8, 141.9, 2.9]
     """
     tip = free_tip_of(display, sample_rate)
     if tip is None:

@@ -164,7 +164,8 @@ class View:
         Frequencies of ``attainable`` [Hz].
     attainable : (F,) array of float
         Peak of a sinusoid at the voltage limit on the contactor that moves least, for the finger of
-        the display's table that is nearest in force [m].
+        the display's table that is nearest in force [m]. Near the resonance in air the limiter
+        allows less.
     sweep : Sweep
         Stroke at this speed and force.
     commanded, played : ShearFigures
@@ -213,12 +214,13 @@ def view_texture(
     renderer = Renderer(display, without_friction(texture), sample_rate=SAMPLE_RATE)
     strength = texture_strength(display, texture, SteadyStroke(speed, normal_force))
     finger = int(np.argmin(np.abs(np.asarray(display.load_forces) - normal_force)))
+    response = display.responses(renderer.frequency, SAMPLE_RATE)
     return View(
         texture, display, speed, normal_force,
         surface=surface_patch(texture, speed=speed, normal_force=normal_force),
         spectrum=texture_spectrum(texture, speed=speed, normal_force=normal_force),
         frequency=renderer.frequency,
-        attainable=renderer.attainable[finger].min(axis=0),
+        attainable=np.abs(response[finger, display.kind]).min(axis=0) * display.limits.voltage,
         sweep=_sweep(renderer, display, speed, normal_force),
         commanded=strength.figures,
         played=strength.played_figures,

@@ -316,7 +316,7 @@ def _stage(display: Display, step: float, ahead: int = 0) -> tuple[FreeTip, Trav
 
 @pytest.mark.parametrize("step", [5.0, 12.0, 30.0, 60.0, 90.0])
 def test_a_way_out_is_left_for_what_nobody_foresees(one: Display, step: float) -> None:
-    """Without look-ahead a drive of full voltage may turn at any sample; steps are exact, too."""
+    """A drive of full voltage, without look-ahead, may turn at any sample; steps are exact, too."""
     for seed in range(40):
         random = np.random.default_rng(seed)
         tip, stage = _stage(one, step)

@@ -135,8 +135,8 @@ def test_the_pilot_plays_while_nothing_else_does(stage: Stage) -> None:
 def test_a_stroke_is_played_for_the_finger_that_is_there(two: Pair) -> None:
     """Shear under a finger that the file does not name is within 2.5 dB of the commanded.
 
-    With the finger of the file it is off by 7.7 dB, and with the mean finger by 4.4 dB. The noise of
-    the converter alone moves the level of 0.4 s between 0.8 and 2.8 dB, so that 1.6 s are played.
+    With the finger of the file it is off by 7.7 dB, and with the mean finger by 4.4 dB. Noise of
+    the converter moves the level of 0.4 s between 0.8 and 2.8 dB, so that 1.6 s are played.
     """
     errors = []
     for calibration in ("", two[2]):

@@ -112,7 +112,7 @@ class PlaybackLoop(Mixer):
         inverse = None if following is None else following.follower
         super().__init__(
             display, rate, bus.frames, gain=gain, worn=worn,
-            inverse=inverse, guarded=following is not None and bus.guards,
+            inverse=inverse, guarded=following is not None and following.guards,
         )  # fmt: skip
         self.bus, self.memory, self.clock, self.following = bus, memory, clock, following
         self._session = session

@@ -401,7 +401,7 @@ def run(
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
         following = None if calibration is None else FingerFollowing(display, bus, calibration)
-        watched = following is not None and bus.guards
+        watched = following is not None and following.guards
         _set_gain(summary, gain, display, texture, trajectory, seed, watched)
         surface, waveform = _amplified(display, texture, summary.gain, rate)
         try:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -12,6 +13,7 @@ from benchmarks.sensing_loop import (
     FREQUENCY,
     RATE,
     TAPS,
+    VOLTAGE,
     WINDOW,
     Case,
     Loop,
@@ -19,6 +21,7 @@ from benchmarks.sensing_loop import (
     design,
     draw_case,
     planned,
+    planned_loops,
     references,
     steady,
     swinging,
@@ -35,8 +38,9 @@ from tactile.sensing.correlation import AFTER, EARLIER, MARGIN, SumWindow, durin
 from tactile.sensing.current_model import CurrentModel
 from tactile.sensing.estimator import LoadEstimator
 from tactile.sensing.excitation import TONES, VOLTS
-from tactile.sensing.hysteresis import PlayModel
+from tactile.sensing.hysteresis import HysteresisStream, PlayModel
 from tactile.sensing.inverse_mix import InverseMix
+from tactile.sensing.loop_tones import DENSER, PLAYS
 from tactile.sensing.population import Population
 from tactile.sensing.uncertainty import shear_deviation
 from tactile.texture.perception import detection_threshold
@@ -65,6 +69,7 @@ def measure_sensing() -> Iterator[Figure]:
     yield from _calibration(case, converter)
     yield from _swinging(case, converter)
     yield from _steady(case, converter)
+    yield from _hysteresis(converter)
     yield from _conditions(converter)
     yield from _rounding(converter)
     yield _pilot(case)
@@ -85,6 +90,8 @@ def _calibration(case: Case, converter: Converter) -> Iterator[Figure]:
     error = np.abs(own.charge(frequency) / exact.charge(frequency) - 1)[:, away]
     coupling = np.abs(own.deviations.coupling / exact.deviations.coupling - 1)
     yield at_most("sensing, calibration: duration", plan.seconds, "s", 10.0)
+    loops = len(planned_loops(converter).drive) / RATE
+    yield Figure("sensing, calibration: duration for the hysteresis", loops, "s")
     yield Figure("sensing, calibration: error of the capacitance", 100 * rms(error), "%")
     yield Figure("sensing, calibration: largest error of d31", 100 * float(coupling.max()), "%")
     fit = seconds(lambda: fit_baseline(plan.lines, air, design()), 3)
@@ -157,6 +164,26 @@ def _steady(case: Case, converter: Converter) -> Iterator[Figure]:
     yield at_most("sensing, 1 N: p95 of the median finger", float(np.median(p95)), "dB", 0.6)
     yield Figure("sensing, 1 N: p95 of the worst finger", float(p95.max()), "dB")
     yield Figure("sensing, 1 N: within two stated deviations", 100 * float(np.mean(shares)), "%")
+
+
+def _hysteresis(converter: Converter) -> Iterator[Figure]:
+    """Yield errors of benders with a hysteresis, with its model and, for fewer of them, without."""
+    for width, modeled, fingers, contactors in (
+        (0.13, True, FINGERS, CONTACTORS),
+        (0.15, True, FINGERS, CONTACTORS),
+        (0.13, False, 8, 4),
+    ):
+        case = draw_case(fingers, contactors, converter, seed=7, width=width, modeled=modeled)
+        loop = Loop(case, converter, force=swinging(1.5), seconds=SECONDS)
+        errors = np.array([m.error.astype(np.float32) for m in loop.run() if m.time >= SETTLED])
+        _, p95 = by_finger(errors, fingers)
+        name = f"sensing, hysteresis of {width:.0%}"
+        if modeled:
+            yield at_most(f"{name}: p95 of the median finger", float(np.median(p95)), "dB", 1.5)
+            share = 100 * float(np.mean(p95 <= 1.5))
+            yield Figure(f"{name}: fingers with p95 ≤ 1.5 dB", share, "%")
+        else:
+            yield Figure(f"{name}, not modeled: p95", float(np.median(p95)), "dB")
 
 
 def _conditions(converter: Converter) -> Iterator[Figure]:
@@ -297,6 +324,13 @@ def _cost() -> Iterator[Figure]:
     yield Figure(f"{name}: to begin a cross-fade", 1e6 * fade, "µs")
     yield Figure(f"{name}: one filter for all, a table of 3 forces", 1e6 * tabled, "µs")
     yield Figure(f"{name}: one filter for all", 1e6 * shared, "µs")
+    radii = np.tile(VOLTAGE * (np.arange(1, PLAYS + 1) / (PLAYS + 1)) ** DENSER, (contactors, 1))
+    stream = HysteresisStream(PlayModel(radii, np.full_like(radii, 0.6 / PLAYS)))
+    for volts in (20.0, VOLTAGE):
+        drive = np.outer(volts * np.sin(np.arange(64) / 10), np.ones(contactors))
+        stream(drive)
+        cost = 1e6 * seconds(partial(stream, drive), ROUNDS)
+        yield Figure(f"{name}: inverse of the hysteresis, up to {volts:g} V", cost, "µs")
 
 
 def _fixed(taps: Floats, forces: tuple[float, ...]) -> Equalizer:

@@ -7,6 +7,7 @@ independent plant are those of ``python -m benchmarks sensing``.
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,10 @@ from display_files import contactors, load
 from tactile.actuator.finger import FingerLoad
 from tactile.actuator.hysteresis import RADII, Hysteresis
 from tactile.actuator.tolerances import Tolerances
+from tactile.arrays import Floats
 from tactile.bringup import current_measuring
 from tactile.bringup.calibrating import CalibrationReport, calibrate
+from tactile.bringup.current_measuring import MeasuringDevice
 from tactile.bringup.finger_measuring import REPORTED, measure_finger
 from tactile.bus.base import Bus
 from tactile.devices import open_bus
@@ -119,6 +122,27 @@ def test_hysteresis_is_measured_and_changes_nothing_else(
     for name in ("capacitance_nf", "d31", "resonance_hz", "stiffness"):
         found, true = ([getattr(one, name) for one in each.contactors] for each in (report, plain))
         assert found == pytest.approx(true, rel=6e-3)
+
+
+@pytest.mark.ci
+def test_hysteresis_that_could_not_be_measured_is_a_fault(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lose the windows of the second measurement: nothing is said to have no hysteresis."""
+    played = MeasuringDevice.play
+
+    def lossy(device: MeasuringDevice, drive: Floats, *rest: Any, **named: Any) -> Any:
+        windows = played(device, drive, *rest, **named)
+        if np.abs(drive).max(initial=0) > 20:
+            windows = [replace(w, clipped=~w.clipped) for w in windows]
+        return windows
+
+    monkeypatch.setattr(MeasuringDevice, "play", lossy)
+    target = folder / "lossy.npz"
+    report, _ = calibrate("sim:?finger=air", display_file(folder), write=target)
+    assert len(report.faults) == 4
+    assert all("hysteresis not known" in fault for fault in report.faults)
+    assert not target.exists()
 
 
 @pytest.mark.ci

@@ -36,7 +36,7 @@ from tactile.arrays import Floats
 from tactile.sensing.admittance import AirWindows
 from tactile.sensing.calibration import FILLING, MeasuringLimits
 from tactile.sensing.hysteresis import EffectiveVoltage, HysteresisStream, PlayModel
-from tactile.sensing.loop_tones import LoopPlan, fit_hysteresis, plan_loops
+from tactile.sensing.loop_tones import LoopPlan, fit_hysteresis, loop_faults, plan_loops
 
 CONTACTORS = 3
 CONVERTER = Converter()
@@ -211,13 +211,16 @@ def test_benders_without_hysteresis_have_none(loops: LoopPlan) -> None:
 
 @pytest.mark.ci
 def test_channel_without_windows_has_no_hysteresis(loops: LoopPlan, windows: AirWindows) -> None:
-    """Take away the windows of one channel at one level; the others stay as they were."""
+    """Take away the windows of one channel at one level; it is named, and the others stay."""
     lost, which = windows.valid.copy(), windows.positions >= loops.first[3]
     lost[which & (windows.positions < loops.end[3]), 1] = False
-    found = fit_hysteresis(loops, replace(windows, valid=lost)).weights
+    less = replace(windows, valid=lost)
+    found = fit_hysteresis(loops, less).weights
     whole = fit_hysteresis(loops, windows).weights
     assert not found[1].any()
     np.testing.assert_array_equal(found[[0, 2]], whole[[0, 2]])
+    assert [fault != "" for fault in loop_faults(loops, less)] == [False, True, False]
+    assert loop_faults(loops, less)[1].endswith(f"at {loops.levels[3]:.0f} V")
 
 
 def errors(case: Case) -> float:

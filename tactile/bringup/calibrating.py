@@ -7,7 +7,7 @@ account in what was measured before. A calibration is written only if no contact
 
 import datetime
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from tactile.sensing.baseline_file import (
 from tactile.sensing.bender import Bender
 from tactile.sensing.calibration import CalibrationPlan, plan_calibration
 from tactile.sensing.hysteresis import PlayModel
-from tactile.sensing.loop_tones import fit_hysteresis, plan_loops
+from tactile.sensing.loop_tones import fit_hysteresis, loop_faults, plan_loops
 
 
 @dataclass
@@ -169,8 +169,10 @@ def calibrate(
     if not any(baseline.faults):
         with reach(voltage=math.inf) as device:
             loops = plan_loops(device.bender.capacitance, rate, device.limits(), window=plan.window)
-            hysteresis = fit_hysteresis(loops, _air_windows(device.play(loops.drive, progress)))
-        measured, baseline = _fitted(plan, windows, device.bender, hysteresis)
+            at_levels = _air_windows(device.play(loops.drive, progress))
+        measured, baseline = _fitted(plan, windows, device.bender, fit_hysteresis(loops, at_levels))
+        unknown = zip(loop_faults(loops, at_levels), baseline.faults, strict=True)
+        baseline = replace(baseline, faults=tuple(first or then for first, then in unknown))
         seconds, volts = seconds + len(loops.drive) / rate, float(loops.levels[-1])
     date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     calibration = Calibration(display.name, date, rate, limits.current, measured, baseline)

@@ -76,6 +76,8 @@ def run(
 
 def _print(r: dict[str, Any]) -> None:
     """Print the contactors and the faults of a report."""
+    from tactile.sensing.guard import WIDEST_LOOP
+
     title = (
         f"{r['display']} at {r['device']}, in air: {r['seconds']:.1f} s, {r['voltage_v']:.1f} V "
         f"and {r['range_ma']:g} mA at most"
@@ -88,6 +90,11 @@ def _print(r: dict[str, Any]) -> None:
         f"design: {r['design_capacitance_nf']:.2f} nF, resonance "
         f"{r['design_resonance_hz']:.1f} Hz in air"
     )
+    if max(one["hysteresis_percent"] for one in r["contactors"]) > 100 * WIDEST_LOOP:
+        print(
+            f"hysteresis above {WIDEST_LOOP:.0%}: guards of amplifiers are not set, the limiter "
+            "bounds the travel of free tips"
+        )
     for fault, contactors in _by_fault(r["contactors"]).items():
         print(f"fault: contactor{'s' * (len(contactors) > 1)} {', '.join(contactors)}: {fault}")
     print(f"written: {r['written']}" if r["written"] else "not written, because of the faults")

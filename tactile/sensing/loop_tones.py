@@ -32,6 +32,8 @@ SMOOTHNESS = 80.0
 """Weight of the evenness of the weights' density against errors of the effective voltage [V]."""
 SMALLEST = 5e-4
 """Width of a loop below which it is not told from none, for the noise of the converter."""
+UNKNOWN = "hysteresis not known: no usable current, or one beyond the range of the converter,"
+"""Begin of a fault."""
 STRONGER = 2.0
 """Factor by which hysteresis may increase the current at most (assumed)."""
 
@@ -117,7 +119,7 @@ def fit_hysteresis(plan: LoopPlan, windows: AirWindows) -> PlayModel:
     Returns
     -------
     PlayModel
-        Model of each channel; without play operators that count where too few windows are usable.
+        Model of each channel, all of whose weights are 0 where `loop_faults` names a fault.
     """
     radii = _denser(plan.levels[-1], PLAYS + 1)[:-1]
     played = HysteresisStream(PlayModel(radii[:, None], np.ones((PLAYS, 1))))
@@ -134,6 +136,28 @@ def fit_hysteresis(plan: LoopPlan, windows: AirWindows) -> PlayModel:
     fitted = PlayModel(np.tile(radii, (len(weights), 1)), weights)
     weights[fitted.loop_width(plan.levels[-1]) < SMALLEST] = 0
     return fitted
+
+
+def loop_faults(plan: LoopPlan, windows: AirWindows) -> tuple[str, ...]:
+    """Name the channels whose hysteresis is not known.
+
+    Parameters
+    ----------
+    plan : LoopPlan
+        What was played.
+    windows : AirWindows
+        What came back from N channels.
+
+    Returns
+    -------
+    tuple of N str
+        Why the hysteresis of each channel is not known; empty where it is.
+    """
+    faults = []
+    for row in np.isnan(_admittances(plan, windows)):
+        level = f"{plan.levels[np.argmax(row)]:.0f} V"
+        faults.append(f"{UNKNOWN} at {level}" if row.any() else "")
+    return tuple(faults)
 
 
 def _admittances(plan: LoopPlan, windows: AirWindows) -> Complex:

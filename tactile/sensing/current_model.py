@@ -140,7 +140,7 @@ class CurrentModel:
         begin = EARLIER + AFTER + BEFORE
         current = drawn[:, begin : begin + window.samples]
         lagged = sliding_window_view(window.played, window.samples, axis=1)
-        return np.asarray((lagged @ current[..., None])[:, ::-1, 0])
+        return np.asarray(np.einsum("nls,ns->nl", lagged, current)[:, ::-1])
 
     def weights(self, logarithms: Floats) -> Floats:
         """Compute the weights of the shared filters for loads.

@@ -90,9 +90,8 @@ class WhitenedSums:
         """
         products = step_products(window.steps, window.played)
         sums = np.where(np.isfinite(window.sums), window.sums, 0)
-        delayed = sliding_window_view(window.played, window.samples, axis=1)
-        gram = delayed[:, ::-1] @ delayed[:, ::-1].transpose(0, 2, 1)
-        size, axes = np.linalg.eigh(gram)
+        delayed = sliding_window_view(window.played, window.samples, axis=1)[:, ::-1].copy()
+        size, axes = np.linalg.eigh(delayed @ delayed.transpose(0, 2, 1))
         size = np.maximum(size, SMALLEST * size[:, -1:] + TINY)
         turned = axes.transpose(0, 2, 1) / np.sqrt(size)[..., None]
         measured = np.einsum("njl,nl->nj", turned, sums)

@@ -171,6 +171,7 @@ class GuardedLoop(Loop):
             currents.append(current)
         known = np.concatenate(played)  # up to what the interpolation still holds
         self._drive[-late:] = known[:late]
+        self._voltage[-late:] = known[:late]  # since these benders have no hysteresis
         return np.concatenate([known[late:], drive[-late:]]), np.concatenate(currents)
 
     def _judge(self, first: int, drive: Floats, gain: Floats, current: Floats) -> Floats:

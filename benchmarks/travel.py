@@ -92,11 +92,10 @@ def _library() -> Iterator[Figure]:
                 texture = load_texture(name)
                 place = np.outer(np.arange(round(PLAYED * RATE)) * speed / RATE, [1.0, 0.0])
                 force = np.full(len(place), 0.5)
-                plain, bounded = (
-                    Renderer(display, texture, guarded=guarded).block(place, force)
-                    for guarded in (True, False)
-                )
-                changed += not np.array_equal(plain, bounded)
+                plain, bounded = Renderer(display, texture), Renderer(display, texture)
+                plain.limiter.leave_travel(np.ones(24, np.bool_))
+                drive = plain.block(place, force)
+                changed += not np.array_equal(drive, bounded.block(place, force))
             case = f"{finger} finger, {1e3 * speed:g} mm/s"
             limit = 0 if speed < 0.1 else None
             yield at_most(f"travel, textures that it changes, {case}", changed, "", limit)
@@ -110,7 +109,8 @@ def _cost() -> Iterator[Figure]:
         volts = tone(RESONANCE if case == "turned down" else 250.0, amplitude)
         volts = volts * np.linspace(0.5, 1, 24)
         for guarded in (False, True):
-            limiter = limiter_of(display, RATE, guarded=guarded)
+            limiter = limiter_of(display, RATE)
+            limiter.leave_travel(np.full(24, guarded))
 
             def play(limiter=limiter, volts=volts) -> None:  # type: ignore[no-untyped-def]
                 """Limit a tone in blocks."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from firmware_protocol.guard import ChannelGuards
 from tactile.bus.guard_gains import BEFORE_ALL, GuardGains
 from tactile.display.display import Display, load_display
-from tactile.playback.guard_keeping import GuardKeeping
+from tactile.playback.guard_keeping import SURE, GuardKeeping
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.sensing.guard import GuardFilters
 from tactile.sensing.load_follower import FilterUpdate, FollowedLoads
@@ -164,8 +164,8 @@ def updated(count: int, judged: NDArray[np.bool_], *, guarded: bool = True) -> F
 class Keeper:
     """Keeping of a display's guards, asked window by window."""
 
-    def __init__(self, display: Display) -> None:
-        self.count = len(display.contactors)
+    def __init__(self, display: Display, ahead: int = 80) -> None:
+        self.count, self.ahead = len(display.contactors), ahead
         self.keeping, self.written = GuardKeeping(display), 0
         self.armed: NDArray[np.int64] = np.full(display.channel.max() + 1, -1)
 
@@ -176,7 +176,7 @@ class Keeper:
         self.written += 200
         settings = self.keeping.settings(
             updated(self.count, judged), tripped=tripped, known=np.full(self.count, known),
-            written=self.written, put_out=self.written - 80,
+            written=self.written, put_out=self.written - self.ahead,
         )  # fmt: skip
         if settings is None:
             return [], []
@@ -255,9 +255,49 @@ def test_all_guards_are_disarmed_where_no_load_is_known(display: Display) -> Non
     count = len(display.contactors)
     every = np.ones(count, np.bool_)
     keeping, update = GuardKeeping(display), updated(count, every)
-    keeping.settings(update, tripped=~every, known=every, written=200, put_out=200)
     assert update.guards is not None
-    settings = keeping.disarm(update.guards)
+    for written in range(200, 200 * (SURE + 1), 200):
+        keeping.settings(update, tripped=~every, known=every, written=written, put_out=written - 80)
+    keeping.forget(800)
+    assert not keeping.relied_on.any()
+    assert keeping.disarm(update.guards, put_out=799) is None, "drive without a limit is put out"
+    settings = keeping.disarm(update.guards, put_out=800)
+    assert settings is not None
     assert len(settings.channels) == count
     assert not settings.armed.any()
     assert not settings.release.any(), "what was turned down stays so"
+
+
+def test_a_guard_is_relied_on_when_its_settings_have_been_sent_twice(display: Display) -> None:
+    """One message may be lost; a contactor that is turned down, or not judged, is not watched."""
+    keeper = Keeper(display)
+    every = np.ones(keeper.count, np.bool_)
+    sent = np.zeros(display.channel.max() + 1, np.intp)
+    for _ in range(SURE):
+        assert not keeper.keeping.relied_on.any()
+        sent[keeper.turn(every, ~every)[0]] += 1
+    assert keeper.keeping.relied_on.all()
+    assert sent[display.channel].min() >= 2
+    one = np.arange(keeper.count) == 3
+    keeper.turn(every, one)
+    np.testing.assert_array_equal(keeper.keeping.relied_on, ~one)
+    keeper.keeping.restart()
+    assert not keeper.keeping.relied_on.any()
+
+
+@pytest.mark.parametrize("ahead", [80, 300])
+def test_a_guard_stays_armed_until_its_contactor_is_bounded(display: Display, ahead: int) -> None:
+    """Limit and guard overlap by what is written ahead, and no settings are sent meanwhile."""
+    keeper = Keeper(display, ahead)
+    every = np.ones(keeper.count, np.bool_)
+    one = np.arange(keeper.count) == 3
+    channel = display.channel[3]
+    for _ in range(SURE):
+        keeper.turn(every, ~every)
+    bounded = keeper.written + 200
+    while keeper.written + 200 - ahead < bounded:
+        assert channel not in keeper.turn(~one, ~every)[0]
+        np.testing.assert_array_equal(keeper.keeping.relied_on, ~one)
+        assert keeper.armed[channel] == 1
+    assert channel in keeper.turn(~one, ~every)[0]
+    assert keeper.armed[channel] == 0

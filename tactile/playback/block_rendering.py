@@ -6,6 +6,7 @@ Neither knows the bus or the time: what they render depends on what they are pas
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile.arrays import Floats, Singles
 from tactile.bus.base import DriveBlock, DriveFrame, FrameCapability
@@ -32,8 +33,6 @@ class SamplePlayback:
         Sample rate of the drive [Hz].
     inverse : EqualizerLike, optional
         What turns shear into volts, as in `Renderer`.
-    guarded : bool
-        Whether guards in the amplifier watch the free tips, as in `Renderer`.
 
     Attributes
     ----------
@@ -58,13 +57,9 @@ class SamplePlayback:
         display: Display,
         sample_rate: float,
         inverse: EqualizerLike | None = None,
-        *,
-        guarded: bool = False,
     ) -> None:
         self._display, self._rate = display, sample_rate
-        self._renderer = Renderer(
-            display, None, sample_rate=sample_rate, inverse=inverse, guarded=guarded
-        )
+        self._renderer = Renderer(display, None, sample_rate=sample_rate, inverse=inverse)
         self.timed = self._renderer.delay
         self.shear = self.drive = np.zeros(len(display.contactors))
 
@@ -121,6 +116,16 @@ class SamplePlayback:
         drive, shear = self._renderer.block(place, force, waveform=waves, shear=True)
         self.drive, self.shear = drive[-1], shear[-1]
         return DriveBlock(position, self._display.to_channels(drive))
+
+    def leave_travel(self, watched: NDArray[np.bool_]) -> None:
+        """Leave the travel of contactors to guards in an amplifier, as `Limiter` does.
+
+        Parameters
+        ----------
+        watched : (N,) array of bool
+            Contactors that guards watch.
+        """
+        self._renderer.limiter.leave_travel(watched)
 
     def warm_up(self, texture: RealizedLayer | SpectrumRenderer) -> None:
         """Use a texture once, so that its memory is allocated.

@@ -165,7 +165,9 @@ class FingerFollowing:
         self._windows = SumWindows(display, bus, calibration.baseline.hysteresis)
         self._keeping = GuardKeeping(display)
         self._guards: GuardFilters | None = None
-        """What guards expected last; None if none was told anything."""
+        """What guards expected last; None if none is armed."""
+        self._disarming = False
+        """Whether all guards are to be disarmed."""
         self._figures = FollowingFigures()
         self._deviations = 0, 0.0
         """Number of windows with a finger, and the sum of their median deviations [dB]."""
@@ -183,13 +185,12 @@ class FingerFollowing:
         self._latest = 0
         self._keeping.restart()
         self._guards = None
-        self._forget()
+        self._forget(0)
 
-    def _forget(self) -> None:
-        """Forget the finger; the filters of the mean one fade in, and no guard judges any more."""
-        if self._guards is not None:
-            self._bus.set_guards(self._keeping.disarm(self._guards))
-            self._guards = None
+    def _forget(self, written: int) -> None:
+        """Forget the finger; the filters of the mean one fade in, and guards will be disarmed."""
+        self._keeping.forget(written)
+        self._disarming = self._guards is not None
         self._generation += 1
         self.loads = self.finger = None
         self.follower.play_mean(round(WINDOW_MS * 1e-3 * self._rate))
@@ -209,7 +210,7 @@ class FingerFollowing:
         if self._bus.counters.reconnects != self._reconnects:
             self._reconnects = self._bus.counters.reconnects
             self._windows.gains.restart()  # as amplifiers do that were started again
-            self._forget()
+            self._forget(end)
         gains = self._windows.gains
         for played in self._windows.take():
             self._figures.dropped_windows += not played.window.valid.any()
@@ -225,7 +226,9 @@ class FingerFollowing:
         if self.finger is not None and self.finger.guarded is not gains.tripped:
             self.finger = replace(self.finger, guarded=gains.tripped)
         if self.loads is not None and end - self._latest > LONGEST_GAP * self._rate:
-            self._forget()
+            self._forget(end)
+        if self._disarming:
+            self._disarm(end)
 
     def _follow(self, end: int) -> None:
         """Begin to play the filters that have been computed by now."""
@@ -239,6 +242,14 @@ class FingerFollowing:
                 self._guard(answer, end)
 
     @property
+    def watched(self) -> NDArray[np.bool_]:
+        """Whether guards watch over the travel of each contactor, array (N,).
+
+        What they have turned down moves by a thirtieth of what the drive says.
+        """
+        return self._keeping.relied_on | self._windows.gains.tripped
+
+    @property
     def _ahead(self) -> int:
         """Number of samples that are written before they are put out."""
         return round(self._bus.ahead * self._rate)
@@ -250,9 +261,17 @@ class FingerFollowing:
             answer.update, tripped=gains.tripped, known=answer.trips == gains.trips,
             written=end, put_out=end - self._ahead,
         )  # fmt: skip
-        self._guards = answer.update.guards
+        self._guards, self._disarming = answer.update.guards, False
         if settings is not None:
             self._bus.set_guards(settings)
+
+    def _disarm(self, end: int) -> None:
+        """Disarm all guards as soon as what is put out has been bounded by the limiter."""
+        assert self._guards is not None
+        settings = self._keeping.disarm(self._guards, put_out=end - self._ahead)
+        if settings is not None:
+            self._bus.set_guards(settings)
+            self._guards, self._disarming = None, False
 
     def _count(self, loads: FollowedLoads) -> None:
         """Count the loads of a window in."""

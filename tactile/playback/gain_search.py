@@ -112,7 +112,6 @@ def largest_gain(
     *,
     sample_rate: float,
     seed: int = 0,
-    guarded: bool = False,
 ) -> LargestGain:
     """Compute the largest gain at which a stroke stays within the limits.
 
@@ -128,8 +127,6 @@ def largest_gain(
         Sample rate of the drive [Hz].
     seed : int
         Seed of the surface's realization.
-    guarded : bool
-        Whether guards in the amplifier watch the free tips, as in `Renderer`.
 
     Returns
     -------
@@ -153,8 +150,7 @@ def largest_gain(
     friction = Renderer(display, smooth, sample_rate=sample_rate, seed=seed)
     voltage = _Bound(LIMIT_SHARE * display.limits.voltage)
     slew = _Bound(LIMIT_SHARE * display.slew / sample_rate)
-    tip = None if guarded else free_tip_of(display, sample_rate)
-    travel = _TravelBound(tip, len(display.contactors))
+    travel = _TravelBound(free_tip_of(display, sample_rate), len(display.contactors))
     last = np.zeros((2, 1, len(display.contactors)))
     samples = 0
     for (vibrating, _), (rubbing, _) in zip(

@@ -11,6 +11,9 @@ from tactile.sensing.load_follower import GUARD_WINDOWS, FilterUpdate
 
 NEVER = 1 << 62
 """Position after all others."""
+SURE = GUARD_WINDOWS + 1
+"""Number of updates in a row that must have armed a guard before it is relied on. Its settings have
+then been sent at least twice."""
 
 
 class GuardKeeping:
@@ -19,6 +22,10 @@ class GuardKeeping:
     Guards get what they are to expect in turns, each of them in one of `GUARD_WINDOWS` windows, and
     at once where one is armed, disarmed or released. A contactor is released as soon as the filters
     of the free bender play, which then are harmless to it and let the next touch be noticed.
+
+    Either a guard or the limiter of the host watches over the travel of a contactor at any time.
+    The limiter stops only when the guard is sure to be armed, and a guard is disarmed only when
+    drive is put out that the limiter has bounded again.
 
     Parameters
     ----------
@@ -35,9 +42,18 @@ class GuardKeeping:
         """Begin anew, as amplifiers do when they start: no guard is armed."""
         count = len(self._channel)
         self._armed = np.zeros(count, np.bool_)
+        self._updates = np.zeros(count, np.intp)
+        """Number of updates in a row that have armed each guard."""
+        self._bounded_from = np.full(count, -NEVER)
+        """Position from which the limiter bounds the travel of each contactor again."""
         self._free_from = np.full(count, NEVER)
         """Position from which the filters of the free bender play on contactors turned down."""
         self._turn = 0
+
+    @property
+    def relied_on(self) -> NDArray[np.bool_]:
+        """Whether the guard of each contactor is sure to be armed, array (N,)."""
+        return np.asarray(self._updates >= SURE)
 
     def settings(
         self,
@@ -74,26 +90,50 @@ class GuardKeeping:
         plays = written + update.samples + LOOK_AHEAD
         self._free_from = np.where(free, np.minimum(self._free_from, plays), NEVER)
         release = free & (put_out >= self._free_from)
-        armed = update.judged & (~tripped | release)
+        wanted = update.judged & (~tripped | release)
+        self._stop_relying(~wanted, written)
+        self._updates[wanted] += 1
+        staying = self._armed & ~wanted & ~tripped & (put_out < self._bounded_from)
+        armed = wanted | staying
         turn = np.arange(len(armed)) % GUARD_WINDOWS == self._turn
         self._turn = (self._turn + 1) % GUARD_WINDOWS
-        due = turn | release | (armed != self._armed)
+        due = (turn | release | (armed != self._armed)) & ~staying
         self._armed = armed
         return self._of(update.guards, due, armed, release) if due.any() else None
 
-    def disarm(self, guards: GuardFilters) -> GuardSettings:
-        """Return settings that disarm all guards, for a time in which no load is known.
+    def _stop_relying(self, contactors: NDArray[np.bool_], written: int) -> None:
+        """Let the limiter bound the travel of contactors from a position on."""
+        self._bounded_from[contactors & self.relied_on] = written
+        self._updates[contactors] = 0
+
+    def forget(self, written: int) -> None:
+        """Rely on no guard any more, since no load is known.
+
+        Parameters
+        ----------
+        written : int
+            Position after the latest drive that was written.
+        """
+        self._stop_relying(np.ones_like(self._armed), written)
+
+    def disarm(self, guards: GuardFilters, *, put_out: int) -> GuardSettings | None:
+        """Return settings that disarm all guards, after `forget`.
 
         Parameters
         ----------
         guards : GuardFilters
             What they expected last.
+        put_out : int
+            Position that is put out now.
 
         Returns
         -------
-        GuardSettings
-            Settings of all channels. What was turned down stays so.
+        GuardSettings or None
+            Settings of all channels. What was turned down stays so. None while drive is put out
+            that the limiter has not bounded.
         """
+        if (put_out < self._bounded_from).any():
+            return None
         none = np.zeros_like(self._armed)
         self._armed = none
         return self._of(guards, ~none, none, none)

@@ -14,7 +14,7 @@ from tactile.bus.base import Bus, BusStatus, DriveBlock
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
-from tactile.playback.block_rendering import FramePlayback
+from tactile.playback.block_rendering import FramePlayback, SamplePlayback
 from tactile.playback.finger_following import FingerFollowing
 from tactile.playback.mixer import BlockInput, Mixer, MixerOrder
 from tactile.playback.outcome import share_put_out
@@ -110,10 +110,7 @@ class PlaybackLoop(Mixer):
     ) -> None:
         rate = bus.wiring.sample_rate
         inverse = None if following is None else following.follower
-        super().__init__(
-            display, rate, bus.frames, gain=gain, worn=worn,
-            inverse=inverse, guarded=following is not None and following.guards,
-        )  # fmt: skip
+        super().__init__(display, rate, bus.frames, gain=gain, worn=worn, inverse=inverse)
         self.bus, self.memory, self.clock, self.following = bus, memory, clock, following
         self._session = session
         self.report = PlaybackReport(sample_rate=rate)
@@ -134,6 +131,7 @@ class PlaybackLoop(Mixer):
             self.bus.tune(self.rendering.carriers)
         if self.following is not None:
             self.following.restart()
+            self._leave_travel(self.following)
         self.silence()
         if self._session is not None:
             self._session.add_silence()
@@ -219,6 +217,12 @@ class PlaybackLoop(Mixer):
         """Let the filters follow what has been measured by now, after a block was written."""
         if self.following is not None:
             self.following.wrote(drive.position, drive.volts[:, self.display.channel])
+            self._leave_travel(self.following)
+
+    def _leave_travel(self, following: FingerFollowing) -> None:
+        """Let the limiter bound the travel of those contactors that no guard watches now."""
+        if isinstance(self.rendering, SamplePlayback):
+            self.rendering.leave_travel(following.watched)
 
     def _catch_up(self, now: float) -> bool:
         """Continue with the block that is due now, if the loop was delayed; return whether."""

@@ -82,8 +82,6 @@ class Mixer:
         Whether the finger stays on the display although it touches nothing.
     inverse : EqualizerLike, optional
         What turns shear into volts on a link that takes samples, as in `Renderer`.
-    guarded : bool
-        Whether guards in the amplifier watch the free tips on such a link, as in `Renderer`.
 
     Attributes
     ----------
@@ -114,13 +112,12 @@ class Mixer:
         gain: float,
         worn: bool,
         inverse: EqualizerLike | None = None,
-        guarded: bool = False,
     ) -> None:
         self.display, self.gain, self.worn = display, gain, worn
         self.textures: dict[int, RealizedLayer | SpectrumRenderer] = {}
         self.voices: dict[int, Voice] = {}
         self.rendering: SamplePlayback | FramePlayback = (
-            SamplePlayback(display, sample_rate, inverse, guarded=guarded)
+            SamplePlayback(display, sample_rate, inverse)
             if frames is None
             else FramePlayback(display, sample_rate, frames)
         )

@@ -251,11 +251,16 @@ class _Run:
                 finger = None if following is None else following.finger
                 watch(replace(block, finger=finger), renderer)
 
+        def follow(position: int, drive: Floats) -> None:
+            assert following is not None
+            following.wrote(position, drive)
+            renderer.limiter.leave_travel(following.watched)
+
         def stroke() -> BusStatus:
             return play(
                 display, renderer, trajectory, self._bus,
                 sample_rate=self._rate, listen=listen, clock=MONOTONIC if realtime else None,
-                waveform=waveform, written=None if following is None else following.wrote,
+                waveform=waveform, written=None if following is None else follow,
             )  # fmt: skip
 
         planned = round(trajectory.duration * self._rate)
@@ -401,15 +406,14 @@ def run(
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
         following = None if calibration is None else FingerFollowing(display, bus, calibration)
-        watched = following is not None and following.guards
-        _set_gain(summary, gain, display, texture, trajectory, seed, watched)
+        _set_gain(summary, gain, display, texture, trajectory, seed)
         surface, waveform = _amplified(display, texture, summary.gain, rate)
         try:
             with guarded(bus, device), threadpool_limits(1):  # whose number changes the last bits
                 if bus.frames is not None:
                     _play_frames(summary, display, surface, trajectory, bus, seed, record)
                 else:
-                    renderer = _renderer(display, surface, rate, seed, following, watched)
+                    renderer = _renderer(display, surface, rate, seed, following)
                     recorder = _recorder(
                         summary, display, trajectory, seed, record, sources, waveform
                     )
@@ -438,11 +442,10 @@ def _renderer(
     rate: float,
     seed: int,
     following: FingerFollowing | None,
-    watched: bool,
 ) -> Renderer:
     """Return the renderer of a stroke, whose filters may follow the finger."""
     inverse = None if following is None else following.follower
-    return Renderer(display, surface, sample_rate=rate, seed=seed, inverse=inverse, guarded=watched)
+    return Renderer(display, surface, sample_rate=rate, seed=seed, inverse=inverse)
 
 
 def _asked_for_currents(url: str, record: str | Path | None) -> str:
@@ -462,7 +465,6 @@ def _set_gain(
     texture: Texture | NamedEffect,
     trajectory: Trajectory,
     seed: int,
-    watched: bool,
 ) -> None:
     """Note the gain in the summary; if it is the largest, with the limit that it reaches."""
     if gain != "auto":
@@ -471,9 +473,7 @@ def _set_gain(
     if isinstance(texture, NamedEffect):
         raise InputError(f"gain auto cannot be used with the effect {texture.name}: give a number")
     rate = summary.sample_rate_hz
-    largest = largest_gain(
-        display, texture, trajectory, sample_rate=rate, seed=seed, guarded=watched
-    )
+    largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
     summary.gain, summary.gain_limit = largest.value, largest.limit
 
 

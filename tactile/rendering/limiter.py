@@ -119,6 +119,17 @@ class Limiter:
         self._rest()
         return out
 
+    def leave_travel(self, watched: NDArray[np.bool_]) -> None:
+        """Leave the travel of contactors to guards in an amplifier, from the next sample on.
+
+        Parameters
+        ----------
+        watched : (N,) array of bool
+            Contactors that guards watch; the travel of all others is bounded.
+        """
+        if self._travel is not None:
+            self._travel.leave(watched, self._last)
+
     def _limited(self, line: Floats) -> Floats:
         """Return the drive (S, N) that all stages make of the input, and count what they do."""
         gain = self._gain(line)

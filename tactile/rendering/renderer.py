@@ -133,8 +133,6 @@ class Renderer:
         Seed of the surface's realization.
     inverse : EqualizerLike, optional
         What turns shear into volts in place of the inverse ``filter``, of the N contactors.
-    guarded : bool
-        Whether guards in the amplifier turn down contactors that lose the finger.
 
     Attributes
     ----------
@@ -176,7 +174,6 @@ class Renderer:
         sample_rate: float = 8000.0,
         seed: int = 0,
         inverse: equalizer.EqualizerLike | None = None,
-        guarded: bool = False,
     ) -> None:
         if not equalizer.LOWEST_RATE <= sample_rate <= FASTEST:
             raise InputError(
@@ -191,7 +188,7 @@ class Renderer:
         self._equalizer = inverse or equalizer.Equalizer(
             self.filter, kind=display.kind, polarity=display.polarity, forces=display.load_forces
         )
-        self.limiter = limiter_of(display, sample_rate, guarded=guarded)
+        self.limiter = limiter_of(display, sample_rate)
         self._fade_step = 1 / (display.limits.fade * sample_rate)
         self._fade = Ramp(self._fade_step, 1.0)
         self._layers: list[tuple[RealizedLayer, Ramp]] = []
@@ -200,9 +197,7 @@ class Renderer:
             self._add(RealizedLayer(display, texture, seed=seed), Ramp(self._fade_step, 1.0))
         self.delay = self._equalizer.delay + self.limiter.delay
         self.frequency = frequency
-        volts = np.full(len(frequency), display.limits.voltage)
-        if not guarded:
-            volts = np.minimum(volts, travel_voltage(display, frequency, sample_rate))
+        volts = np.minimum(display.limits.voltage, travel_voltage(display, frequency, sample_rate))
         self.attainable = equalizer.attainable(response[:, display.kind], volts)
         at_rest = self.attainable[:, :, 0].min(axis=1)
         self._stretch = Stretch(display, at_rest, sample_rate, CHUNK + NODE)
@@ -367,7 +362,7 @@ class Renderer:
         return self._fade(shear)
 
 
-def limiter_of(display: Display, sample_rate: float, *, guarded: bool = False) -> Limiter:
+def limiter_of(display: Display, sample_rate: float) -> Limiter:
     """Create the limiter of a display's drive.
 
     Parameters
@@ -376,9 +371,6 @@ def limiter_of(display: Display, sample_rate: float, *, guarded: bool = False) -
         Display that plays.
     sample_rate : float
         Sample rate of the drive [Hz].
-    guarded : bool
-        Whether guards in the amplifier turn down contactors that lose the finger. Then the limiter
-        does not bound the travel that the drive would give without one.
 
     Returns
     -------
@@ -390,7 +382,7 @@ def limiter_of(display: Display, sample_rate: float, *, guarded: bool = False) -
         display.slew / sample_rate,
         sample_rate=sample_rate,
         channels=len(display.contactors),
-        tip=None if guarded else free_tip_of(display, sample_rate),
+        tip=free_tip_of(display, sample_rate),
     )
 
 

@@ -13,6 +13,10 @@ The bound holds for any input. A step that the slew limit forbids cannot be take
 that every sample must leave a way out: the drive that falls from there to 0 V as fast as the slew
 limit allows, by the same factor each sample, must keep the limit as well. That drive is always at
 hand for the next sample. The drive goes from there towards its target as far as the limit allows.
+
+Guards in an amplifier, which measure the current, may watch some of the contactors instead. How far
+these swing is then unknown here, since a finger holds them. When such a contactor is bounded again,
+it is taken as at rest under the latest drive: the finger that was there until then held it closer.
 """
 
 import math
@@ -20,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from tactile.arrays import Complex, Floats, Singles
 from tactile.rendering.free_tip import PIECE, FreeTip, largest_share
@@ -82,6 +87,9 @@ class TravelStage:
         self._tip, self._largest = tip, tip.largest * (1 - ROUNDING)
         self._step, self._recovery, self._ahead = step, recovery, ahead
         self._state = np.zeros(channels, np.complex128)
+        self._watched = np.zeros(channels, np.bool_)
+        self._bounded_here: Floats | None = None
+        """1 for contactors that are bounded here, 0 for others; None if all are."""
         self._reduction = 0.0
         self._maps: dict[int, tuple[Singles, Floats]] = {}
         self._ends: dict[int, tuple[Floats, complex]] = {}
@@ -111,6 +119,27 @@ class TravelStage:
             return 1
         return 1 + math.ceil(math.log(spare) / math.log(self._fall))
 
+    def leave(self, watched: NDArray[np.bool_], last: Floats) -> None:
+        """Leave contactors to guards in an amplifier, from the next sample on, and no others.
+
+        Parameters
+        ----------
+        watched : (N,) array of bool
+            Contactors that guards watch.
+        last : (N,) array of float
+            Sample before [V].
+        """
+        if np.array_equal(watched, self._watched):
+            return
+        back = self._watched & ~watched
+        self._state = np.where(watched, 0, np.where(back, last, self._state))
+        self._watched = watched.copy()
+        self._bounded_here = (~watched).astype(np.float64) if watched.any() else None
+
+    def _of_free(self, values: Floats) -> Floats:
+        """Return values (..., N) of the contactors that are bounded here, and 0 for others."""
+        return values if self._bounded_here is None else values * self._bounded_here
+
     def passes(self, line: Floats, highest: float) -> bool:
         """Follow a drive that keeps all other limits, if nothing in it comes near this one.
 
@@ -128,6 +157,10 @@ class TravelStage:
         """
         if self._reduction:
             return False
+        if self._bounded_here is not None:
+            if not self._bounded_here.any():
+                return True
+            line = line * self._bounded_here
         if self._is_far(line, highest):
             self._state = self._turn(line[: len(line) - self._ahead])
             return True
@@ -208,7 +241,7 @@ class TravelStage:
 
     def _following(self, line: Floats) -> Complex:
         """Return what each sample (S, N) and those of its look-ahead add to the state."""
-        window = sliding_window_view(line, self._ahead + 1, axis=0)
+        window = sliding_window_view(self._of_free(line), self._ahead + 1, axis=0)
         return np.asarray((window @ self._weights.real) + 1j * (window @ self._weights.imag))
 
     def _recovering(
@@ -220,7 +253,7 @@ class TravelStage:
         drive, ahead = drive * share, ahead * share
         if self._steps(drive, last).max() > self._step:
             return None
-        swing = self._tip.swing(drive, self._state)
+        swing = self._tip.swing(self._of_free(drive), self._state)
         before = np.concatenate([self._state[None], swing[:-1]])
         most = self._largest - self._beside * _largest(drive)
         if _largest(swing) > most:
@@ -233,7 +266,7 @@ class TravelStage:
     def _bounded(self, drive: Floats, ahead: Complex, gain: Floats, last: Floats) -> Bounded:
         """Return the drive with the gain that the limit requires, sample by sample."""
         gain, guarded = gain.copy(), 0
-        added = np.concatenate([self._out * drive[:, None], ahead[:, None]], axis=1)
+        added = np.concatenate([self._out * self._of_free(drive)[:, None], ahead[:, None]], axis=1)
         for n, sample in enumerate(drive):
             held = self._turns * self._state
             share = self._share(held, added[n])
@@ -244,7 +277,7 @@ class TravelStage:
             if largest > self._step:
                 sample[:] = self._toward(held[:-1], last, last + move * (self._step / largest))
                 guarded += 1
-            self._state = held[0] + self._out[0] * sample
+            self._state = held[0] + self._out[0] * self._of_free(sample)
             last = sample
         return Bounded(drive, gain, guarded)
 
@@ -266,9 +299,10 @@ class TravelStage:
         The target is within the step, and so is the first sample of the way out.
         """
         out = self._fall * last
-        if _largest(held + self._out * target) <= self._largest:
+        if _largest(held + self._out * self._of_free(target)) <= self._largest:
             return target
-        share = largest_share(held + self._out * out, self._out * (target - out), self._largest)
+        there, more = self._out * self._of_free(out), self._out * self._of_free(target - out)
+        share = largest_share(held + there, more, self._largest)
         return np.asarray(out + min(share, 1.0) * (target - out))
 
 

@@ -39,7 +39,9 @@ from tactile.playback.commands import News, OrderAnswer
 from tactile.playback.estimates import EstimateRequest, OwnEstimates, ProcessEstimates
 from tactile.playback.finger_following import LONGEST_GAP, FingerFollowing
 from tactile.playback.process import follow, open_device
+from tactile.playback.runs import run
 from tactile.playback.sum_windows import DOUBTED, HISTORY
+from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.limiter import LOOK_AHEAD
 from tactile.rendering.renderer import Renderer
@@ -389,6 +391,19 @@ def test_the_host_leaves_free_tips_to_guards_that_it_sets(
             monkeypatch.setattr(stage.bus, "take_correlations", list)
             stage.play(LONGEST_GAP + 0.1, slides=True)
             assert limited(0.2) > 0
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_the_limiter_of_a_stroke_leaves_free_tips_to_guards(
+    two: Pair, monkeypatch: pytest.MonkeyPatch, guarded: bool
+) -> None:
+    """A reeded coin at 0.2 m/s has its ridges near the resonance of the free bender."""
+    monkeypatch.setattr(SimulatedDisplay, "guards", guarded)
+    summary = run(
+        two[0], load_texture("metal-coin-reeded"), Trajectory.line(speed=0.2, duration=1.0),
+        device="sim:?finger=high", calibration=load_calibration(two[2]),
+    )  # fmt: skip
+    assert (summary.limited_samples == 0) == guarded
 
 
 def expecting_nothing(stage: Stage) -> GuardSettings:

@@ -12,6 +12,7 @@ from benchmarks.actuator import measure_matrix, measure_plant, measure_response
 from benchmarks.budgets import measure_budgets
 from benchmarks.clock import measure_clock
 from benchmarks.cluster import measure_dask, measure_million
+from benchmarks.coupling import measure_couplings
 from benchmarks.faults import measure_faults
 from benchmarks.finger import measure_finger
 from benchmarks.fit import measure_fit
@@ -78,6 +79,7 @@ LONG: dict[str, Benchmark] = {
     "estop-play": estop.measure_estop_play,
     "sensing": measure_sensing,
     "guard": measure_guard,
+    "coupling": measure_couplings,
     "session": measure_session,
     "hour": partial(crowd.measure_crowd, crowd.SOAK),
     "crowd-long": partial(crowd.measure_crowd, crowd.LONG),

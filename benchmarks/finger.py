@@ -43,19 +43,25 @@ def drive_of(converter: Converter) -> Floats:
 
 
 def windows_of(plant: SensingPlant, drive: Floats, scale: Floats | None = None) -> list[SumWindow]:
-    """Return the windows of a drive (S,) that a plant plays, as the reference amplifier reports.
+    """Return the windows of a drive (S,) that all contactors play, as `sum_windows_of`."""
+    return sum_windows_of(plant, np.repeat(drive[:, None], len(plant.scale), axis=1), scale)
+
+
+def sum_windows_of(
+    plant: SensingPlant, whole: Floats, scale: Floats | None = None
+) -> list[SumWindow]:
+    """Return the windows of a drive (S, N) that a plant plays, as the reference amplifier reports.
 
     ``scale`` are the loads' scales (S + delay, N); by default they stay as they are.
     """
     n, lead = len(plant.scale), EARLIER + AFTER + 1
-    whole = np.repeat(drive[:, None], n, axis=1)
     _, current = plant.step(np.concatenate([whole, np.zeros((plant.delay, n))]), scale)
     sums, rounding, clipped = reported(
         Correlator(n), plant.converter, whole, current[plant.delay :]
     )
     played = np.concatenate([np.zeros((lead, n)), whole, np.zeros((MARGIN, n))])
     windows = []
-    for k, begin in enumerate(range(0, len(drive), WINDOW)):
+    for k, begin in enumerate(range(0, len(whole), WINDOW)):
         steps = np.diff(played[begin : begin + lead + WINDOW + MARGIN], axis=0).T
         windows.append(
             SumWindow(

@@ -230,17 +230,28 @@ def _update(tip: _Tip, h: float) -> _Update:
     return _Update(qq, qv, vq, vv, hold_q - ramp_q, ramp_q, hold_v - ramp_v, ramp_v)
 
 
-class _Advance:
+class Advance:
     """One step of the integration, as a matrix of each contactor.
 
     Without the finger's force the step is linear in state and voltage. The force is a gain, which
     depends on the load, times another linear form of both, and changes the state in proportion.
+
+    Attributes
+    ----------
+    matrix : (STATE + 1, STATE + 1, N) array of float
+        Step without the finger's force; its last row is that form.
+    push : (STATE, N) array of float
+        Change of the state per newton of the finger's force.
+    stiff, now : (N,) array of float
+        Force of the finger per change of the tip within the step [N/m], and the part of this change
+        that the middle of the Maxwell branch follows.
     """
 
     def __init__(self, tip: _Tip, m: _Update, f: Fingers, port: Floats, h: float) -> None:
         n, corner, mode = len(port), f.k1 / f.d1, np.arange(MODES)
         relax = np.exp(-corner * h)
         late, now = (1 - relax) / (corner * h) - relax, 1 - (1 - relax) / (corner * h)
+        self.now = now
         self.stiff = f.k0 + 1.5 * f.d0 / h + f.k1 * (1 - now)
         A, b = np.zeros((STATE + 1, STATE + 1, n)), np.zeros((STATE, n))
         for rows, (q, v, f0, f1) in (
@@ -264,14 +275,14 @@ class _Advance:
         pull[REST] -= f.k0
         pull[INNER] -= f.k1 * relax
         A[-1] = pull
-        self._matrix, self._push = A, b
-        self._free = np.empty((STATE + 1, n))
+        self.matrix, self.push = A, b
+        self.free = np.empty((STATE + 1, n))
 
     def step(self, state: Floats, gain: Floats, force: Floats, following: Floats) -> None:
         """Advance a state with its voltage; write the force and the following state."""
-        free = np.einsum("ijn,jn->in", self._matrix, state, out=self._free)
+        free = np.einsum("ijn,jn->in", self.matrix, state, out=self.free)
         np.multiply(gain, free[-1], out=force)
-        np.multiply(self._push, force, out=following)
+        np.multiply(self.push, force, out=following)
         following += free[:-1]
 
 
@@ -400,7 +411,7 @@ class SensingPlant:
         self._friction = None if strength is None else SlidingCeramics(strength)
         mode = _update(self.tip, self._h)
         self._port = np.sum(self.tip.shape**2 * mode.q_f1, axis=0) + self.tip.rest_uu
-        self._advance = _Advance(self.tip, mode, fingers, self._port, self._h)
+        self._advance = Advance(self.tip, mode, fingers, self._port, self._h)
         at = np.arange(-REACH * SUBSTEPS + 1, REACH * SUBSTEPS) / SUBSTEPS
         self._kernel = np.sinc(at) * np.kaiser(len(at), 8.0)
         self._past = np.zeros((2 * REACH, n))
@@ -486,7 +497,7 @@ class SensingPlant:
 
         The first step of sample n leads to its instant. The state is that of the last step.
         """
-        t, gains = self.tip, -scales / (1 + self._port * scales * self._advance.stiff)
+        t, gains = self.tip, self._gains(scales)
         come = (np.concatenate([self.scale[None], scales[:-1]]) == 0) & (scales > 0)
         moved, charge, force = np.empty_like(scales), np.empty_like(volts), np.empty_like(volts)
         states = np.empty((SUBSTEPS + 1, STATE + 1, len(t.capacitance)))
@@ -502,6 +513,10 @@ class SensingPlant:
             moved[n] = states[1, U]
         self._state, self.scale = last.copy(), scales[-1].copy()
         return moved, charge + t.rest_uv * force + t.rest_vv * volts
+
+    def _gains(self, scales: Floats) -> Floats:
+        """Return the gain of the fingers' forces under each row of scales (S, N)."""
+        return np.asarray(-scales / (1 + self._port * scales * self._advance.stiff))
 
     def _dielectric(self, volts: Floats) -> Floats:
         """Return the charge of the dielectric at each step [C]."""

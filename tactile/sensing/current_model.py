@@ -93,6 +93,11 @@ class CurrentModel:
         Filters that span the responses of the loaded tips [A/V].
     air : (N, BEFORE + AFTER + EARLIER + 1) array of float
         Response of the tips that nothing touches [A/V].
+    force, stiffness : (N, G) complex array
+        Force of the held tips per volt [N/V], and dynamic stiffness of the undriven tips, at `GRID`
+        [N/m].
+    measuring : (N, G) complex array
+        Measured current per step of the drive, for one coulomb per volt at the electrodes [A/C].
     """
 
     def __init__(self, baseline: Baseline, population: Population, sample_rate: float) -> None:
@@ -116,8 +121,9 @@ class CurrentModel:
         at_grid = np.array([np.interp(GRID, FITTED, row) for row in shared])
         self._weights = np.linalg.pinv(_stacked(at_grid))
         rate = 2j * np.pi * GRID / (1 - np.exp(-2j * np.pi * GRID / sample_rate))
-        force, self._stiffness = baseline.tip(GRID)
-        self._source = rate * force**2 * baseline.measuring(GRID)
+        self.force, self.stiffness = baseline.tip(GRID)
+        self.measuring = rate * baseline.measuring(GRID)
+        self._source = rate * self.force**2 * baseline.measuring(GRID)
 
     def air_sums(self, window: SumWindow) -> Floats:
         """Predict the sums of the current that tips in air draw.
@@ -155,7 +161,22 @@ class CurrentModel:
         (N, R) array of float
             Weights of `shared`.
         """
-        response = self._source / (self._stiffness + load_stiffness(logarithms, GRID))
+        response = self._source / (self.stiffness + load_stiffness(logarithms, GRID))
+        return self.weights_of(response)
+
+    def weights_of(self, response: Complex) -> Floats:
+        """Compute the weights of the shared filters that together are nearest to a response.
+
+        Parameters
+        ----------
+        response : (..., G) complex array
+            Current per step of the drive at `GRID`, of tips under loads [A/V].
+
+        Returns
+        -------
+        (..., R) array of float
+            Weights of `shared`.
+        """
         return np.asarray(_stacked(response) @ self._weights)
 
     def weights_and_slopes(
@@ -179,7 +200,7 @@ class CurrentModel:
         """
         rows = slice(None) if contactors is None else contactors
         terms = load_terms(logarithms, GRID)
-        compliance = 1 / (self._stiffness[rows] + terms.sum(axis=1))
+        compliance = 1 / (self.stiffness[rows] + terms.sum(axis=1))
         response = self._source[rows] * compliance
         slope = -(response * compliance)[:, None] * terms
         return _stacked(response) @ self._weights, _stacked(slope) @ self._weights

@@ -6,7 +6,7 @@ the same prior, and its covariance is that of the posterior there.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,12 @@ class MeasuredLoads:
 
 
 def measure_loads(
-    model: CurrentModel, population: Population, windows: Sequence[SumWindow], *, noise: float
+    model: CurrentModel,
+    population: Population,
+    windows: Sequence[SumWindow],
+    *,
+    noise: float,
+    others: Sequence[Floats] | None = None,
 ) -> MeasuredLoads:
     """Estimate the loads that explain some windows.
 
@@ -86,6 +91,9 @@ def measure_loads(
         Windows, at least one.
     noise : float
         Standard deviation of a sample of the measured current [A].
+    others : sequence of (N, R) array of float, optional
+        What other contactors add to the current in each window, as weights of the model's shared
+        filters; by default nothing.
 
     Returns
     -------
@@ -95,9 +103,7 @@ def measure_loads(
     used = [window.valid & np.isfinite(window.sums).all(axis=1) for window in windows]
     mean, prior = prior_of(population)
     coarse, fine = (
-        WhitenedSums.joined(
-            [WhitenedSums.of(model, window, noise, error) for window in windows], used
-        )
+        WhitenedSums.joined(_alone(model, windows, noise, error, others), used)
         for error in (FIRST_ERROR, MODEL_ERROR)
     )
     state = np.tile(mean, (len(model.electrical), 1))
@@ -116,6 +122,23 @@ def measure_loads(
         covariance[:, :CONSTANTS, :CONSTANTS],
         np.where(touching, squares, air) / sums,
     )
+
+
+def _alone(
+    model: CurrentModel,
+    windows: Sequence[SumWindow],
+    noise: float,
+    error: float,
+    others: Sequence[Floats] | None,
+) -> list[WhitenedSums]:
+    """Return whitened windows without what other contactors add to them."""
+    whitened = [WhitenedSums.of(model, window, noise, error) for window in windows]
+    if others is None:
+        return whitened
+    return [
+        replace(part, measured=part.measured - (part.shared @ added[..., None])[..., 0])
+        for part, added in zip(whitened, others, strict=True)
+    ]
 
 
 def _in_air(whitened: WhitenedSums, prior: Floats) -> tuple[Floats, Floats]:

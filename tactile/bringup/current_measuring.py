@@ -88,8 +88,8 @@ class MeasuringDevice(NamedTuple):
 
         Parameters
         ----------
-        drive : (S,) array of float
-            Drive [V].
+        drive : (S,) or (S, N) array of float
+            Drive, the same for all N contactors or that of each [V].
         progress : callable, optional
             Function that is called with the time that has been played and the whole time.
         hysteresis : PlayModel, optional
@@ -107,12 +107,13 @@ class MeasuringDevice(NamedTuple):
         """
         bus, display = self.bus, self.display
         rate, taken = self.rate, SumWindows(display, bus, hysteresis)
-        whole = np.concatenate([drive, np.zeros(round(LISTENING * rate))])
+        each = drive[:, None] if drive.ndim == 1 else drive
+        each = np.broadcast_to(each, (len(drive), len(display.contactors)))
+        whole = np.concatenate([each, np.zeros((round(LISTENING * rate), each.shape[1]))])
         windows = []
         bus.start()
         for position in range(0, len(whole), BLOCK):
-            block = whole[position : position + BLOCK, None]
-            volts = np.repeat(block, len(display.contactors), axis=1)
+            volts = whole[position : position + BLOCK]
             bus.write(DriveBlock(position, display.to_channels(volts)))
             if bus.state != "running":
                 raise BusError(bus.status.detail or "the device stopped during the measurement")

@@ -49,6 +49,13 @@ def run(
         int | None,
         typer.Option(help="Contactor whose load is written by --csv instead of the median."),
     ] = None,
+    coupling: Annotated[
+        bool,
+        typer.Option(
+            "--coupling",
+            help="Also measure how strongly the skin couples neighboring contactors: 1.2 s more.",
+        ),
+    ] = False,
     plot: PlotOption = None,
     force: Force = False,
     accept_unsafe_hold: AcceptHold = False,
@@ -63,6 +70,9 @@ def run(
     the display file plays. It needs the file that tactile calibrate has measured in air. The exit
     code is 1 if the load is known on no contactor, or not on that of --contactor.
 
+    With --coupling it buzzes for 1.2 s more and prints how much of its own load a contactor feels
+    from each neighbor that moves. The loads are then those of contactors whose neighbors rest.
+
     Example: tactile finger sim:?finger=mid --csv finger.csv --plot finger.png
     """
     from tactile.bringup.finger_measuring import measure_finger
@@ -76,7 +86,7 @@ def run(
     with progress_bar(visible=not as_json) as bar:
         task = bar.add_task("keep still: measuring the finger", total=None)
         report, loads = measure_finger(
-            url, display, measured, csv=csv, contactor=contactor, force=force,
+            url, display, measured, csv=csv, contactor=contactor, coupling=coupling, force=force,
             accept_unsafe_hold=accept_unsafe_hold,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
@@ -89,7 +99,8 @@ def run(
     emit(facts, as_json, _print)
     if not as_json:
         _print_files(facts, csv, contactor, plot if drawn else None)
-    raise typer.Exit(0 if report.known and (csv is None or report.written) else 1)
+    known = report.known and (report.coupling is None or report.coupling.pairs)
+    raise typer.Exit(0 if known and (csv is None or report.written) else 1)
 
 
 def _print(r: dict[str, Any]) -> None:
@@ -112,6 +123,27 @@ def _print(r: dict[str, Any]) -> None:
         print(LEGEND)
     for note, contactors in _by_note(r["contactors"]).items():
         print(f"contactor{'s' * (len(contactors) > 1)} {', '.join(contactors)}: {note}")
+    if r.get("coupling"):
+        _print_coupling(r["coupling"])
+
+
+def _print_coupling(coupling: dict[str, Any]) -> None:
+    """Print the couplings by direction and what they do, or why they are not known."""
+    if coupling["note"]:
+        print(f"coupling: {coupling['note']}")
+        return
+    for one in coupling["directions"]:
+        x, y = one["along_x_mm"], one["along_y_mm"]
+        where = f"{x:g} mm along x" if not y else f"{y:g} mm along y"
+        where = f"{x:g} mm along x and {y:g} mm along y" if x and y else where
+        pairs = f"{one['pairs']} pair{'s' * (one['pairs'] > 1)}"
+        value = f"{one['coupling']:.3f} ± {one['deviation']:.3f}"
+        print(f"coupling to the neighbor {where}: {value} ({pairs})")
+    mean, worst = (round(coupling[name], 1) + 0 for name in ("together_db", "most_together_db"))
+    print(
+        f"where all contactors move alike, filters for each alone play {mean:+.1f} dB, and "
+        f"{worst:+.1f} dB on the contactor that is farthest off"
+    )
 
 
 def _cells(one: dict[str, Any], places: list[int]) -> list[str]:

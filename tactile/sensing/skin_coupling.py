@@ -23,12 +23,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tactile.arrays import Complex, Floats
+from tactile.sensing.baseline import Baseline
 from tactile.sensing.correlation import SumWindow, step_products
 from tactile.sensing.coupling_drive import amplitude
 from tactile.sensing.current_model import GRID, CurrentModel
 from tactile.sensing.neighbors import slow_courses
 from tactile.sensing.population import Population, load_stiffness, load_terms
 from tactile.sensing.resting_load import MeasuredLoads, measure_loads
+from tactile.sensing.uncertainty import DECIBELS, FREQUENCY
 
 TURNS = 5
 """Number of times that loads and couplings are found in turns; the last one changes couplings of
@@ -191,6 +193,34 @@ def coupled_motion(
     across = coupling * root[:, :, None] * root[:, None]
     own = np.eye(len(coupling)) * (stiffness + loads).T[:, None]
     return np.asarray(np.linalg.solve(own - across, forces))
+
+
+def level_together(baseline: Baseline, measured: MeasuredCoupling, polarity: Floats) -> Floats:
+    """Compute the level of the shear where all contactors are to move alike, without coupling.
+
+    Each contactor is driven as if its neighbors were at rest. Those that move with it pull less
+    at its tip, by k_i (1 − Σ_j c_ij) instead of k_i, so that it moves farther.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        Tips of the contactors.
+    measured : MeasuredCoupling
+        Couplings and loads, of one pair at least.
+    polarity : (N,) array of float
+        1, or −1 where a positive voltage shears the other way.
+
+    Returns
+    -------
+    (K,) array of float
+        Mean level over 10–1000 Hz of each contactor that has a coupling, re the commanded one [dB].
+    """
+    _, stiffness = baseline.tip(FREQUENCY)
+    load = load_stiffness(measured.loads.logarithms, FREQUENCY)
+    coupling = measured.matrix() * polarity * polarity[:, None]
+    moved = coupled_motion(stiffness, load, coupling, (stiffness + load).T[..., None])
+    level = DECIBELS * np.log(np.abs(moved[..., 0])).mean(axis=0)
+    return np.asarray(level[np.unique(measured.pairs)])
 
 
 class _Skin:

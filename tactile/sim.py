@@ -3,7 +3,8 @@
 Unlike a real amplifier it knows how the skin is sheared, and which current flows into each
 contactor. ``sim:`` simulates the display's own bimorph, amplifier and finger. With an option about
 finger, force, tolerance or hysteresis, ``sim:?finger=mid&force=0.2:2&liftoff=1``, the load of each
-contactor changes while it plays (`TouchedPlant`). ``sim:?plant=package.module:factory`` uses
+contactor changes while it plays (`TouchedPlant`). With ``coupling=0.2`` the skin couples them
+(`CoupledTouchedPlant`). ``sim:?plant=package.module:factory`` uses
 another plant: ``factory(display, sample_rate)`` must return an object with ``delay`` and ``step``
 like those of `Plant`.
 """
@@ -11,6 +12,8 @@ like those of `Plant`.
 import importlib
 import math
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -19,6 +22,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import SampleFormat
 from tactile.actuator.actuator import PlantLike
+from tactile.actuator.coupled_plant import CoupledTouchedPlant
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.hysteresis import Hysteresis
 from tactile.actuator.plant import Plant
@@ -45,6 +49,9 @@ FINGERS = {
     "air": FingerLoad.none,
 }
 """Loads by the values of the option ``finger``."""
+COUPLING_EXPONENT = 4.8
+"""Power of the distance by which couplings fall (assumed): where skin slips on the walls between
+openings, a design study had 0.2 at 2.5 mm and 0.04 at 3.5 mm."""
 LEAST_FORCE = 1e-3
 """Smallest normal force of a finger that touches [N]."""
 PERIOD = 1.5
@@ -81,6 +88,9 @@ class SimOptions(Options, frozen=True, kw_only=True):
     hysteresis : float
         Width of the ceramic's loop at the largest voltage that its layers bear, as a fraction of
         its swing; 0.12 to 0.15 is usual.
+    coupling : float
+        Coupling of contactors that are nearest to each other through the skin, at a force that is
+        steady; of others it falls with the distance (`COUPLING_EXPONENT`).
     correlation_ms : int or None
         Length of the windows of correlated currents, of whole samples [ms]; by default the
         amplifier does not measure. It has a range of ±2.5 mA and 12 bits with noise.
@@ -96,13 +106,15 @@ class SimOptions(Options, frozen=True, kw_only=True):
     retouch: Annotated[float, Meta(ge=0, le=LONGEST)] | None = None
     tolerance: Annotated[int, Meta(ge=0, le=2**31 - 1)] | None = None
     hysteresis: Annotated[float, Meta(ge=0, le=0.3)] = 0.0
+    coupling: Annotated[float, Meta(ge=0, le=0.3)] = 0.0
     correlation_ms: Annotated[int, Meta(ge=10, le=100)] | None = None
 
     @property
     def touched(self) -> bool:
-        """Whether an option wants fingers that change, or benders that differ."""
+        """Whether an option wants fingers that change or couple, or benders that differ."""
         wanted = self.finger, self.force, self.period, self.liftoff, self.retouch, self.tolerance
-        return self.hysteresis > 0 or any(option is not None for option in wanted)
+        given = any(option is not None for option in wanted)
+        return given or self.hysteresis > 0 or self.coupling > 0
 
 
 class _Kept:
@@ -327,7 +339,7 @@ def changing_plant(display: Display, sample_rate: float, options: SimOptions) ->
     sample_rate : float
         Sample rate of the drive [Hz].
     options : SimOptions
-        Finger, force, tolerance and hysteresis.
+        Finger, force, tolerance, hysteresis and coupling.
 
     Returns
     -------
@@ -348,7 +360,10 @@ def changing_plant(display: Display, sample_rate: float, options: SimOptions) ->
     if options.hysteresis > 0:
         full = 1 / display.actuator.overload(1.0)[0]
         hysteresis = Hysteresis(width=options.hysteresis, full_drive=full)
-    return TouchedPlant(
+    plant: Callable[..., TouchedPlant] = TouchedPlant
+    if options.coupling > 0:
+        plant = partial(CoupledTouchedPlant, coupling=_couplings(display, force, options.coupling))
+    return plant(
         display.bimorph,
         Touch(load=_finger(options.finger, display), force=force),
         sample_rate,
@@ -357,6 +372,20 @@ def changing_plant(display: Display, sample_rate: float, options: SimOptions) ->
         tolerances=tolerances,
         hysteresis=hysteresis,
     )
+
+
+def _couplings(display: Display, force: NormalForce, nearest: float) -> Floats:
+    """Return the couplings (N, N) of contactors per volt of each, by that of the nearest."""
+    if force.low != force.high or np.isfinite(force.liftoff):
+        raise InputError("sim: coupling: needs a force that is steady")
+    away = np.linalg.norm(display.contactors[:, None] - display.contactors, axis=2)
+    np.fill_diagonal(away, np.inf)
+    couplings = nearest * (away.min() / away) ** COUPLING_EXPONENT
+    if np.linalg.eigvalsh(np.eye(len(away)) - couplings)[0] <= 0:
+        raise InputError(
+            f"sim: coupling = {nearest:g}: together the contactors would have a negative load"
+        )
+    return np.asarray(couplings * display.polarity * display.polarity[:, None])
 
 
 def _finger(text: str | None, display: Display) -> FingerLoad | FingerTable:

@@ -11,8 +11,9 @@ from cli_rig import Command
 from display_files import contactors, load
 from sensing_rig import exact_baseline, random_loads, tolerant_plant
 
+from tactile.actuator.finger import FingerLoad
 from tactile.bringup.calibrating import calibrate
-from tactile.bringup.finger_measuring import measure_finger
+from tactile.bringup.finger_measuring import FingerReport, measure_finger
 from tactile.errors import InputError
 from tactile.sensing.baseline_file import Calibration
 from tactile.sensing.population import CONSTANTS, load_stiffness
@@ -70,6 +71,44 @@ def test_contactors_that_are_not_coupled_have_couplings_of_nothing(
     assert abs(found["together_db"]) < 0.1
     assert found["seconds"] == 1.2
     assert "coupling" not in command("finger", url, *options(folder), "--json").json
+
+
+@pytest.mark.ci
+def test_the_command_prints_the_coupling_of_the_simulated_skin(
+    folder: Path, calibration: Calibration, command: Command
+) -> None:
+    """Find couplings of 0.2 along x and 0.2 · (2.5/3.5)^4.8 = 0.04 along y.
+
+    The median of two is within 0.01, three stated deviations. The load of the paper's soft finger
+    is that of a contactor whose neighbors rest; for all that move alike it is a quarter less.
+    """
+    url = "sim:?finger=mid&tolerance=1&coupling=0.2"
+    report, _ = measure_finger(url, display_file(folder), calibration, coupling=True)
+    assert report.coupling is not None
+    along, across = report.coupling.directions
+    assert (along.pairs, across.pairs) == (2, 2)
+    assert along.coupling == pytest.approx(0.2, abs=0.01)
+    assert across.coupling == pytest.approx(0.04, abs=0.01)
+    exact = FingerLoad.mid().stiffness(np.array([300.0])).real[0]
+    at = report.frequency_hz.index(300.0)
+
+    def stiffness(one: FingerReport) -> float:
+        """Return the mean stiffness of all contactors at 300 Hz."""
+        known = [found.stiffness_n_per_m for found in one.contactors]
+        return float(np.mean([values[at] for values in known if values is not None]))
+
+    assert stiffness(report) == pytest.approx(exact, rel=0.05)
+    alike, _ = measure_finger(url, display_file(folder), calibration)
+    assert stiffness(alike) == pytest.approx(0.76 * exact, rel=0.08)
+    said = command("finger", url, *options(folder), "--coupling")
+    assert said.code == 0
+    lines = said.out.splitlines()
+    assert lines[-3].startswith("coupling to the neighbor 2.5 mm along x: 0.2")
+    assert lines[-2].startswith("coupling to the neighbor 3.5 mm along y: 0.0")
+    level = f"filters for each alone play {report.coupling.together_db:+.1f} dB"
+    assert level in lines[-1]
+    assert report.coupling.together_db is not None
+    assert report.coupling.together_db > 0.5
 
 
 @pytest.mark.ci

@@ -19,7 +19,12 @@ from tactile.arrays import Complex, Floats
 from tactile.sensing.calibration import LARGEST, MeasuringLimits
 from tactile.sensing.coupling_drive import SLOT, CouplingPlan, plan_coupling
 from tactile.sensing.current_model import CurrentModel
-from tactile.sensing.neighbors import neighbor_pairs, sign_patterns, slow_courses
+from tactile.sensing.neighbors import (
+    neighbor_pairs,
+    second_neighbors,
+    sign_patterns,
+    slow_courses,
+)
 from tactile.sensing.population import Population, load_stiffness
 from tactile.sensing.skin_coupling import (
     MeasuredCoupling,
@@ -41,8 +46,11 @@ LOADS = random_loads(1, seed=8) + 0.1 * np.random.default_rng(8).standard_normal
 
 
 def coupling_of(value: float, count: int = 4) -> Floats:
-    """Return couplings of the square's sides, those along the long pitch a fifth of the others."""
-    matrix = np.zeros((count, count))
+    """Return couplings of the square's sides, those along the long pitch a fifth of the others.
+
+    Those of both diagonals are 0.075 of the others, as if couplings fell by distance.
+    """
+    matrix = 0.075 * value * np.eye(count)[::-1]
     for i, j in PAIRS:
         matrix[i, j] = matrix[j, i] = value if j - i == 1 else value / 5
     return matrix
@@ -66,6 +74,18 @@ def test_neighbors_of_a_triangular_grid_are_six() -> None:
     assert np.bincount(pairs.ravel())[12] == 6
     assert neighbor_pairs(GRID[:1]).shape == (0, 2)
     assert neighbor_pairs(GRID[:2]).tolist() == [[0, 1]]
+
+
+def test_second_neighbors_have_a_neighbor_in_common() -> None:
+    """Count the diagonals of the square, and what is two steps away on a grid of 6 × 4.
+
+    They are 2·5·3 diagonals, 4·4 along the rows and 6·2 along the columns.
+    """
+    assert second_neighbors(neighbor_pairs(SQUARE), 4).tolist() == [[0, 3], [1, 2]]
+    assert len(second_neighbors(neighbor_pairs(GRID), 24)) == 2 * 5 * 3 + 4 * 4 + 6 * 2
+    near = neighbor_pairs(TRIANGLES)  # of which many have neighbors in common
+    both = np.concatenate([near, second_neighbors(near, 25)])
+    assert len(np.unique(both, axis=0)) == len(both)
 
 
 @pytest.mark.parametrize("positions", [GRID, TRIANGLES, GRID[:1]])

@@ -43,6 +43,26 @@ def neighbor_pairs(positions: Floats) -> NDArray[np.intp]:
     return np.stack([first[alone], second[alone]], axis=1)
 
 
+def second_neighbors(pairs: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Find the pairs of contactors that have a neighbor in common and are none themselves.
+
+    Parameters
+    ----------
+    pairs : (P, 2) array of int
+        Neighbors.
+    count : int
+        Number of contactors N.
+
+    Returns
+    -------
+    (Q, 2) array of int
+        Pairs i < j.
+    """
+    near = np.zeros((count, count), np.intp)
+    near[pairs[:, 0], pairs[:, 1]] = near[pairs[:, 1], pairs[:, 0]] = 1
+    return np.argwhere(np.triu((near @ near > 0) & (near == 0), 1))
+
+
 def sign_patterns(positions: Floats, pairs: NDArray[np.intp]) -> Floats:
     """Choose the sign of each contactor's drive in each slot of a measurement.
 

@@ -57,7 +57,7 @@ def plant_of(case: Case, converter: Converter, coupling: float) -> CoupledPlant:
     )  # fmt: skip
 
 
-def found(
+def couplings_of(
     case: Case, converter: Converter, plant: CoupledPlant, scale: Floats | None = None
 ) -> MeasuredCoupling:
     """Return the couplings of all fingers of a case; ``scale`` are those of the loads meanwhile."""
@@ -87,13 +87,13 @@ def measure_couplings() -> Iterator[Figure]:
     yield Figure("coupling: duration", len(plan_of(converter).drive) / RATE, "s")
     for coupling in (0.0, 0.05, 0.2):
         plant = plant_of(case, converter, coupling)
-        measured = found(case, converter, plant)
+        measured = couplings_of(case, converter, plant)
         yield from _errors(f"coupling {coupling:g}", plant, measured, coupling)
         yield from _loads(f"coupling {coupling:g}", case, converter, plant, measured)
     yield from _drifting(case, converter)
     one = draw_case(2, len(PLACES), converter, SEED)
     plant = plant_of(one, converter, 0.05)
-    cost = seconds(lambda: found(one, converter, plant), 1)
+    cost = seconds(lambda: couplings_of(one, converter, plant), 1)
     yield Figure("coupling: plant and estimate of 24 contactors", cost, "s")
 
 
@@ -140,5 +140,5 @@ def _drifting(case: Case, converter: Converter) -> Iterator[Figure]:
     time = np.arange(length) / RATE
     force = np.linspace(0.9, 1.1, length) * (1 + 0.02 * np.sqrt(2) * np.sin(2 * np.pi * 9 * time))
     scale = np.repeat(np.sqrt(force)[:, None], len(plant.scale), axis=1)
-    measured = found(case, converter, plant, scale)
+    measured = couplings_of(case, converter, plant, scale)
     yield from _errors("coupling 0.05, force that drifts", plant, measured, 0.05)

@@ -40,8 +40,8 @@ def calibration(folder: Path) -> Calibration:
 
 
 def display_file(folder: Path) -> Path:
-    (found,) = folder.glob("*.toml")
-    return found
+    (file,) = folder.glob("*.toml")
+    return file
 
 
 def options(folder: Path) -> list[str]:
@@ -60,16 +60,16 @@ def test_contactors_that_are_not_coupled_have_couplings_of_nothing(
     url = "sim:?finger=mid&tolerance=1"
     said = command("finger", url, *options(folder), "--coupling", "--json")
     assert said.code == 0
-    found = said.json["coupling"]
-    assert [one["contactors"] for one in found["pairs"]] == [[0, 1], [0, 2], [1, 3], [2, 3]]
-    for one in found["pairs"]:
+    coupling = said.json["coupling"]
+    assert [one["contactors"] for one in coupling["pairs"]] == [[0, 1], [0, 2], [1, 3], [2, 3]]
+    for one in coupling["pairs"]:
         assert abs(one["coupling"]) < 4 * one["deviation"]
         assert one["deviation"] < 0.01
-    assert [(one["along_x_mm"], one["along_y_mm"]) for one in found["directions"]] == [
+    assert [(one["along_x_mm"], one["along_y_mm"]) for one in coupling["directions"]] == [
         (2.5, 0.0), (0.0, 3.5),
     ]  # fmt: skip
-    assert abs(found["together_db"]) < 0.1
-    assert found["seconds"] == 1.2
+    assert abs(coupling["together_db"]) < 0.1
+    assert coupling["seconds"] == 1.2
     assert "coupling" not in command("finger", url, *options(folder), "--json").json
 
 
@@ -95,7 +95,7 @@ def test_the_command_prints_the_coupling_of_the_simulated_skin(
 
     def stiffness(one: FingerReport) -> float:
         """Return the mean stiffness of all contactors at 300 Hz."""
-        known = [found.stiffness_n_per_m for found in one.contactors]
+        known = [contactor.stiffness_n_per_m for contactor in one.contactors]
         return float(np.mean([values[at] for values in known if values is not None]))
 
     assert stiffness(report) == pytest.approx(exact, rel=0.05)
@@ -153,6 +153,6 @@ def test_the_level_of_two_that_move_alike_is_that_of_the_closed_form(
     own, across = S + k, 0.2 * np.sqrt(k[0] * k[1])
     moved = own[::-1] * (own + across) / (own[0] * own[1] - across**2)
     expected = 20 * np.log10(np.abs(moved)).mean(axis=1)
-    found = level_together(baseline, measured, np.array(polarity))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-    assert np.all(found > 0.2)
+    level = level_together(baseline, measured, np.array(polarity))
+    np.testing.assert_allclose(level, expected, rtol=1e-9)
+    assert np.all(level > 0.2)

@@ -3,8 +3,6 @@
 The figures on eight fingers are measured by ``python -m benchmarks coupling``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sensing_rig import exact_baseline, fingers, random_loads
@@ -186,7 +184,7 @@ def plan(positions: Floats) -> CouplingPlan:
     return CouplingPlan(np.rint(drive.tones / CODE) * CODE, signs)
 
 
-def found(plant: CoupledPlant, scale: Floats | None = None) -> MeasuredCoupling:
+def couplings_of(plant: CoupledPlant, scale: Floats | None = None) -> MeasuredCoupling:
     """Return the couplings of the square of contactors."""
     drive, population = plan(SQUARE), Population.assumed()
     slots = [
@@ -214,7 +212,7 @@ def test_couplings_are_found_as_well_as_is_stated(value: float) -> None:
     For tips that move together it would be 22 % less.
     """
     plant = plant_of(value)
-    measured = found(plant)
+    measured = couplings_of(plant)
     assert measured.pairs.tolist() == PAIRS
     true = plant.coupling(np.array([200.0]), np.ones(4))[0][tuple(measured.pairs.T)]
     error = np.abs(measured.value - true)
@@ -237,7 +235,7 @@ def test_a_force_that_rises_is_no_coupling() -> None:
     plant = plant_of(0.05)
     length = plan(SQUARE).drive.shape[0] + plant.delay
     scale = np.repeat(np.sqrt(np.linspace(0.9, 1.1, length))[:, None], 4, axis=1)
-    still, measured = found(plant_of(0.05)), found(plant, scale)
+    still, measured = couplings_of(plant_of(0.05)), couplings_of(plant, scale)
     np.testing.assert_allclose(measured.value, still.value, atol=0.004)
     assert np.all(measured.deviation < 0.01)
 
@@ -248,7 +246,7 @@ def test_a_contactor_in_air_has_no_neighbors() -> None:
     plant = plant_of(0.2)
     plant.scale[0] = 0
     plant.mixing[:] = np.eye(4)  # a finger that is not there couples nothing
-    measured = found(plant)
+    measured = couplings_of(plant)
     assert measured.pairs.tolist() == PAIRS[2:]
     assert not measured.loads.touching[0]
     assert np.all(np.abs(measured.value) < 3 * measured.deviation)

@@ -249,6 +249,31 @@ def test_a_contactor_that_no_guard_watches_any_more_is_bounded(pair: Display, si
     assert swing.max() == pytest.approx(pair.actuator.largest_travel, rel=0.02)
 
 
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("slew", "volts"), [(7e5, 90.0), (3e5, 45.0), (1e5, 12.0)])
+def test_a_contactor_that_a_guard_watches_has_no_part_in_the_travel(
+    one: Display, pair: Display, slew: float, volts: float, seed: int
+) -> None:
+    """The other one leaves nearly as it would alone: bursts of its resonance, and noise.
+
+    What lies between the samples that are looked at is bounded by the largest drive of both, so
+    that a gain recovers otherwise by a hundredth at most.
+    """
+    random = np.random.default_rng(seed)
+    bursts = _gated(random, np.arange(6000) / RATE) * random.uniform(20, 100)
+    loud = np.concatenate([bursts, 100 * _noise(random, np.zeros(6000)), np.zeros(2000)])[:, None]
+    both = np.hstack([loud, tone(RESONANCE, volts, len(loud) / RATE)])
+    limits = replace(pair.limits, slew=slew)
+    alone, _ = limited(replace(one, limits=limits), loud)
+    device, parts = limiter_of(replace(pair, limits=limits), RATE), []
+    device.leave_travel(np.array([False, True]))
+    line = np.concatenate([both, np.zeros((device.delay, 2))])
+    for k in range(0, len(line), 64):
+        parts.append(device(line[k : k + 64]))
+    out = np.concatenate(parts)[device.delay :]
+    np.testing.assert_allclose(out[:, :1], alone, rtol=0.01, atol=0.1)
+
+
 def test_a_contactor_returns_to_the_limiter_at_rest_under_its_drive(one: Display) -> None:
     """A finger held the tip until then: what a free tip would have swung is not taken for true."""
     volts = np.concatenate([tone(RESONANCE, 60.0, 0.5), np.full((4000, 1), 0.0)])

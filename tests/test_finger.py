@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from cli_rig import Command
 from display_files import contactors, load
+from finger_rig import calibrated, display_file, display_in, options
 
 import tactile
 from tactile.actuator.bimorph import Bimorph
@@ -19,7 +20,6 @@ from tactile.actuator.finger import FingerLoad
 from tactile.actuator.population import random_finger
 from tactile.actuator.response import tip_response
 from tactile.bringup import current_measuring
-from tactile.bringup.calibrating import calibrate
 from tactile.bringup.finger_measuring import REPORTED, measure_finger
 from tactile.bringup.finger_response import FREQUENCY, save_response, typical_stiffness
 from tactile.bus.base import Bus
@@ -32,7 +32,6 @@ from tactile.sensing.population import CONSTANTS
 from tactile.sensing.resting_load import MeasuredLoads
 from tactile.study.measurement import load_measurement
 
-PLACES = contactors((0.0, 0.0, 0.0), (2.5, 0.0, 0.0), (5.0, 0.0, 0.0), (7.5, 0.0, 0.0))
 WITHIN = 1.0
 """Largest error of the response of an adjusted display [dB]: a stiff finger is known to 0.5 dB."""
 
@@ -40,29 +39,13 @@ WITHIN = 1.0
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a display of four contactors, and its calibration."""
-    at = tmp_path_factory.mktemp("finger")
-    load(at, PLACES)
-    return at
+    return display_in(tmp_path_factory.mktemp("finger"))
 
 
 @pytest.fixture(scope="module")
 def calibration(folder: Path) -> Calibration:
     """Return a calibration of benders with tolerances."""
-    url = "sim:?finger=air&tolerance=1"
-    return calibrate(url, display_file(folder), write=folder / "four.sensing.npz")[1]
-
-
-def display_file(folder: Path) -> Path:
-    (found,) = folder.glob("*.toml")
-    return found
-
-
-def options(folder: Path) -> list[str]:
-    """Return the options that name display and calibration."""
-    return [
-        "--display", str(display_file(folder)),
-        "--calibration", str(folder / "four.sensing.npz"),
-    ]  # fmt: skip
+    return calibrated(folder)
 
 
 def known(logarithms: list[list[float]]) -> MeasuredLoads:

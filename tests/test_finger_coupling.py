@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from cli_rig import Command
 from display_files import contactors, load
+from finger_rig import calibrated, display_file, display_in, options
 from sensing_rig import exact_baseline, random_loads, tolerant_plant
 
 from tactile.actuator.finger import FingerLoad
-from tactile.bringup.calibrating import calibrate
 from tactile.bringup.finger_measuring import FingerReport, measure_finger
 from tactile.errors import InputError
 from tactile.sensing.baseline_file import Calibration
@@ -21,35 +21,17 @@ from tactile.sensing.resting_load import MeasuredLoads
 from tactile.sensing.skin_coupling import MeasuredCoupling, level_together
 from tactile.sensing.uncertainty import FREQUENCY
 
-PLACES = contactors((0.0, 0.0, 0.0), (2.5, 0.0, 0.0), (0.0, 3.5, 0.0), (2.5, 3.5, 0.0))
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a display of four contactors, and its calibration."""
-    at = tmp_path_factory.mktemp("coupling")
-    load(at, PLACES)
-    return at
+    return display_in(tmp_path_factory.mktemp("coupling"))
 
 
 @pytest.fixture(scope="module")
 def calibration(folder: Path) -> Calibration:
     """Return a calibration of benders with tolerances."""
-    url = "sim:?finger=air&tolerance=1"
-    return calibrate(url, display_file(folder), write=folder / "four.sensing.npz")[1]
-
-
-def display_file(folder: Path) -> Path:
-    (file,) = folder.glob("*.toml")
-    return file
-
-
-def options(folder: Path) -> list[str]:
-    """Return the options that name display and calibration."""
-    return [
-        "--display", str(display_file(folder)),
-        "--calibration", str(folder / "four.sensing.npz"),
-    ]  # fmt: skip
+    return calibrated(folder)
 
 
 @pytest.mark.ci

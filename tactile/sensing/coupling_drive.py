@@ -12,6 +12,7 @@ import numpy as np
 from tactile.arrays import Floats
 from tactile.sensing.bender import Bender
 from tactile.sensing.calibration import HIGHEST, MeasuringLimits, strongest
+from tactile.sensing.finger_drive import faded
 
 BAND = (40.0, 2400.0)
 """Lowest and highest tone [Hz]."""
@@ -89,13 +90,9 @@ def plan_coupling(
     CouplingPlan
         Drive, 1.2 s long with 16 slots and windows of 25 ms.
     """
-    fade = round(FADE * sample_rate)
     lines = np.geomspace(BAND[0], min(BAND[1], HIGHEST * sample_rate), TONES)
     tones = strongest(
         lines, amplitude(np.minimum(lines, BAND[1])), SLOT * window, sample_rate, bender, limits,
         np.random.default_rng(0),
     )  # fmt: skip
-    rise = (1 - np.cos(np.pi * (np.arange(fade) + 0.5) / fade)) / 2
-    tones[:fade] *= rise
-    tones[-fade:] *= rise[::-1]
-    return CouplingPlan(tones, signs)
+    return CouplingPlan(faded(tones, round(FADE * sample_rate)), signs)

@@ -40,12 +40,29 @@ def measuring_drive(bender: Bender, sample_rate: float, limits: MeasuringLimits)
     (S,) array of float
         Drive, which begins and ends at 0 V [V].
     """
-    samples, fade = round(DURATION * sample_rate), round(FADE * sample_rate)
+    samples = round(DURATION * sample_rate)
     lines = np.geomspace(BAND[0], min(BAND[1], HIGHEST * sample_rate), TONES)
     drive = strongest(
         lines, np.ones(TONES), samples, sample_rate, bender, limits, np.random.default_rng(0)
     )
-    rise = (1 - np.cos(np.pi * (np.arange(fade) + 0.5) / fade)) / 2
-    drive[:fade] *= rise
-    drive[-fade:] *= rise[::-1]
-    return drive
+    return faded(drive, round(FADE * sample_rate))
+
+
+def faded(drive: Floats, samples: int) -> Floats:
+    """Let a drive rise from 0 V and fall to 0 V, as a cosine does.
+
+    Parameters
+    ----------
+    drive : (S,) array of float
+        Drive [V].
+    samples : int
+        Length of each fade [samples].
+
+    Returns
+    -------
+    (S,) array of float
+        Drive that begins and ends at 0 V [V].
+    """
+    rise = (1 - np.cos(np.pi * (np.arange(samples) + 0.5) / samples)) / 2
+    middle = np.ones(len(drive) - 2 * samples)
+    return np.asarray(drive * np.concatenate([rise, middle, rise[::-1]]))

@@ -26,7 +26,7 @@ static bool busy(const ta_amplifier *amp, uint64_t now)
 {
     bool lives = amp->heard &&
                  !ta_elapsed(now, amp->heartbeat, TP_WATCHDOG_MS, amp->config.tick_hz);
-    return lives || !ta_player_silent(&amp->player);
+    return lives || !amp->player.silent;
 }
 
 ta_verdict ta_act_hello(ta_amplifier *amp, const ta_request *r)
@@ -186,7 +186,7 @@ ta_verdict ta_act_clear_fault(ta_amplifier *amp, const ta_request *r)
         if (m.trips != amp->counters.trips) {
             return ta_refuse(amp, TP_NAK_STATE, amp->counters.trips);
         }
-        if (!ta_player_silent(&amp->player)) {
+        if (!amp->player.silent) {
             return ta_refuse(amp, TP_NAK_STATE, 0);
         }
         if (ta_input_open(amp, r->now)) {

@@ -316,7 +316,7 @@ static void correlate(ta_amplifier *amp, uint32_t position, bool come)
 static void move_guards(ta_amplifier *amp)
 {
     if (amp->state == TP_STATE_RUNNING && !amp->start_pending) {
-        ta_guard_move(&amp->guard, amp->player.held);
+        amp->player.held_down = ta_guard_move(&amp->guard, amp->player.held);
     }
 }
 
@@ -367,7 +367,7 @@ static void settle_high_voltage(ta_amplifier *amp)
 {
     bool on = amp->state == TP_STATE_ARMED || amp->state == TP_STATE_RUNNING ||
               amp->state == TP_STATE_RAMPDOWN;
-    if (on || ta_player_silent(&amp->player)) {
+    if (on || amp->player.silent) {
         switch_high_voltage(amp, on);
     }
 }
@@ -568,7 +568,7 @@ static void put_out(ta_amplifier *amp, uint64_t tick)
 static void end_rampdown(ta_amplifier *amp)
 {
     if (amp->state == TP_STATE_RAMPDOWN && amp->player.gain == 0 &&
-        ta_player_silent(&amp->player)) {
+        amp->player.silent) {
         enter(amp, amp->then);
     }
 }

@@ -91,6 +91,60 @@ typedef struct {
     uint32_t trips;
 } ta_counters;
 
+/* A set of channels, a bit for each. */
+#define TA_WORDS ((TA_CHANNELS + 31u) / 32u)
+
+typedef struct {
+    uint32_t words[TA_WORDS];
+} ta_set;
+
+static inline bool ta_set_has(const ta_set *set, size_t channel)
+{
+    return (set->words[channel / 32u] >> channel % 32u & 1u) != 0;
+}
+
+static inline void ta_set_add(ta_set *set, size_t channel)
+{
+    set->words[channel / 32u] |= (uint32_t)1 << channel % 32u;
+}
+
+static inline void ta_set_remove(ta_set *set, size_t channel)
+{
+    set->words[channel / 32u] &= ~((uint32_t)1 << channel % 32u);
+}
+
+static inline void ta_set_join(ta_set *set, const ta_set *more)
+{
+    for (size_t w = 0; w < TA_WORDS; w++) {
+        set->words[w] |= more->words[w];
+    }
+}
+
+static inline void ta_set_subtract(ta_set *set, const ta_set *less)
+{
+    for (size_t w = 0; w < TA_WORDS; w++) {
+        set->words[w] &= ~less->words[w];
+    }
+}
+
+static inline ta_set ta_set_common(const ta_set *a, const ta_set *b)
+{
+    ta_set both;
+    for (size_t w = 0; w < TA_WORDS; w++) {
+        both.words[w] = a->words[w] & b->words[w];
+    }
+    return both;
+}
+
+static inline bool ta_set_empty(const ta_set *set)
+{
+    uint32_t any = 0;
+    for (size_t w = 0; w < TA_WORDS; w++) {
+        any |= set->words[w];
+    }
+    return any == 0;
+}
+
 /* Returns the distance a - b of two positions, which wrap (section 1). */
 static inline int32_t ta_distance(uint32_t a, uint32_t b)
 {

@@ -51,17 +51,27 @@ void ta_guard_take(ta_guard *g, size_t channel, const uint8_t *entry)
     g->guards[channel].waits = true;
 }
 
-void ta_guard_move(const ta_guard *g, int32_t *gains)
+static int32_t moved(const ta_guard *g, size_t channel, int32_t gain)
 {
-    for (size_t i = 0; i < g->channels; i++) {
-        if (g->guards[i].reason != TP_GUARD_REASON_NONE) {
-            int32_t lower = gains[i] - g->fall;
-            gains[i] = lower > (int32_t)TP_GUARD_LEAST ? lower : (int32_t)TP_GUARD_LEAST;
-        } else {
-            int32_t higher = gains[i] + g->rise;
-            gains[i] = higher < TA_GAIN_FULL ? higher : TA_GAIN_FULL;
-        }
+    if (g->guards[channel].reason != TP_GUARD_REASON_NONE) {
+        int32_t lower = gain - g->fall;
+        return lower > (int32_t)TP_GUARD_LEAST ? lower : (int32_t)TP_GUARD_LEAST;
     }
+    int32_t higher = gain + g->rise;
+    return higher < TA_GAIN_FULL ? higher : TA_GAIN_FULL;
+}
+
+bool ta_guard_move(ta_guard *g, int32_t *gains)
+{
+    if (!g->moves) {
+        return false;
+    }
+    g->moves = false;
+    for (size_t i = 0; i < g->channels; i++) {
+        gains[i] = moved(g, i, gains[i]);
+        g->moves = g->moves || gains[i] < TA_GAIN_FULL;
+    }
+    return g->moves;
 }
 
 static bool watches(const ta_guarded *u)
@@ -181,5 +191,6 @@ bool ta_guard_add(ta_guard *g, const ta_correlator *c, const int16_t *currents)
         }
     }
     g->left = (uint8_t)(over ? TP_GUARD_BLOCK : g->left - 1u);
+    g->moves = g->moves || changed;
     return changed;
 }

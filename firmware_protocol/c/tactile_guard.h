@@ -49,6 +49,7 @@ typedef struct {
 typedef struct {
     uint8_t channels;
     uint8_t left; /* instants until the block is over */
+    bool moves;   /* a gain is below TA_GAIN_FULL, or will be at the next instant */
     int32_t fall; /* of a gain per instant */
     int32_t rise;
     ta_guarded guards[TA_CHANNELS];
@@ -63,8 +64,8 @@ void ta_guard_take(ta_guard *g, size_t channel, const uint8_t *entry);
 /* Returns whether the shifts of an entry are possible. */
 bool ta_guard_valid(const uint8_t *entry);
 
-/* Moves the gains of all channels on, by an instant of RUNNING. */
-void ta_guard_move(const ta_guard *g, int32_t *gains);
+/* Moves the gains of all channels on, by an instant of RUNNING. Returns whether one is below TA_GAIN_FULL. */
+bool ta_guard_move(ta_guard *g, int32_t *gains);
 
 /* Adds the current codes that are known now, of the code that the correlator says; returns whether a
  * channel has tripped or was released. */

@@ -15,8 +15,12 @@ void ta_serial_init(ta_serial *link, ta_amplifier *amp,
 
 void ta_serial_feed(ta_serial *link, const uint8_t *bytes, size_t size, uint64_t now)
 {
-    for (size_t i = 0; i < size; i++) {
-        switch (ta_cobs_feed(&link->cobs, bytes[i])) {
+    ta_cobs_event event;
+    while (size > 0) {
+        size_t taken = ta_cobs_feed(&link->cobs, bytes, size, &event);
+        bytes += taken;
+        size -= taken;
+        switch (event) {
         case TA_COBS_FRAME:
             ta_receive(link->amp, link->cobs.bytes, link->cobs.frame, now);
             break;

@@ -31,7 +31,7 @@ size_t ta_cobs_encode(const uint8_t *in, size_t size, uint8_t *out);
 
 typedef enum {
     TA_COBS_MORE,      /* nothing yet */
-    TA_COBS_FRAME,     /* `frame` bytes are in `bytes`, until the next byte is fed */
+    TA_COBS_FRAME,     /* `frame` bytes are in `bytes`, until more is fed */
     TA_COBS_MALFORMED, /* the delimiter came within a block */
     TA_COBS_OVERSIZED  /* returned once; what follows is dropped up to the delimiter */
 } ta_cobs_event;
@@ -41,13 +41,17 @@ typedef struct {
     size_t limit; /* longest packet, at most TA_PACKET_MAX */
     size_t frame; /* size of the latest complete frame */
     size_t size;  /* bytes decoded so far */
-    size_t coded; /* encoded bytes received so far */
     uint8_t left; /* bytes of the block that are still to come */
+    bool begun;   /* a byte has come since the last delimiter */
     bool zero;    /* the block stands for a zero at its end, if another follows */
     bool skip;    /* too long: wait for the delimiter */
 } ta_cobs;
 
 void ta_cobs_init(ta_cobs *cobs, size_t limit);
-ta_cobs_event ta_cobs_feed(ta_cobs *cobs, uint8_t byte);
+
+/* Decodes bytes up to the first event, which may come with the last of them or not at all. Returns how many
+ * it took: the rest is to be fed next. The decoded size alone decides what is too long: a frame that decodes
+ * to at most `limit` bytes has at most TA_COBS_MAX(limit) encoded ones. */
+size_t ta_cobs_feed(ta_cobs *cobs, const uint8_t *bytes, size_t size, ta_cobs_event *event);
 
 #endif

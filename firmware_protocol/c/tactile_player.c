@@ -2,27 +2,28 @@
  * the phase is settled, every channel gets its value, the last stage bounds it. */
 #include "tactile_player.h"
 
-/* The buffer: rows of channels, from `head` on. */
+/* The buffer of PCM: rows of channels, from `head` on. */
 
-static int16_t *row(ta_player *p, uint32_t ahead)
+static size_t row(const ta_player *p, uint32_t ahead)
 {
-    return p->buffer[(p->head + ahead) % p->fifo];
-}
-
-static void clear_row(ta_player *p, uint32_t ahead)
-{
-    int16_t *samples = row(p, ahead);
-    for (size_t c = 0; c < p->channels; c++) {
-        samples[c] = TA_NOTHING;
-    }
+    uint32_t at = p->head + ahead;
+    return at < p->fifo ? at : at - p->fifo;
 }
 
 static void clear_buffer(ta_player *p)
 {
+    static const ta_set none;
     for (uint32_t i = 0; i < p->fill; i++) {
-        clear_row(p, i);
+        p->present[row(p, i)] = none;
     }
     p->fill = 0;
+}
+
+static void clear_envelopes(ta_player *p)
+{
+    for (size_t c = 0; c < p->channels; c++) {
+        ta_envelope_clear(&p->kept.envelopes[c]);
+    }
 }
 
 void ta_player_init(ta_player *p, ta_counters *counters, uint8_t channels, uint16_t fifo)
@@ -31,7 +32,7 @@ void ta_player_init(ta_player *p, ta_counters *counters, uint8_t channels, uint1
     p->counters = counters;
     p->channels = channels;
     p->fifo = fifo;
-    p->fill = fifo; /* that START clears all */
+    p->silent = true;
     ta_player_start(p, 0);
     p->moved = true;
 }
@@ -43,10 +44,15 @@ void ta_player_start(ta_player *p, uint32_t position)
     p->phase = TP_PHASE_WAITING;
     p->gain = 0;
     p->quick = false;
+    p->held_down = false;
     clear_buffer(p);
-    memset(p->lines, 0, sizeof p->lines);
+    if (p->mode == TP_MODE_SPECTRUM) {
+        clear_envelopes(p);
+    }
+    memset(&p->active, 0, sizeof p->active);
+    memset(&p->bridging, 0, sizeof p->bridging);
+    memset(p->values, 0, sizeof p->values);
     for (size_t c = 0; c < p->channels; c++) {
-        ta_envelope_clear(&p->envelopes[c]);
         p->held[c] = TA_GAIN_FULL;
     }
 }
@@ -59,6 +65,11 @@ static void note_newest(ta_player *p, int32_t ahead)
 
 void ta_player_pcm(ta_player *p, uint32_t position, uint8_t first, const ta_samples *samples)
 {
+    ta_set channels = {{0}};
+    bool kept = false;
+    for (size_t c = 0; c < samples->channels; c++) {
+        ta_set_add(&channels, first + c);
+    }
     for (uint8_t i = 0; i < samples->samples; i++) {
         int32_t ahead = ta_distance(position + i, p->position);
         if (ahead < 0) {
@@ -66,13 +77,15 @@ void ta_player_pcm(ta_player *p, uint32_t position, uint8_t first, const ta_samp
         } else if (ahead >= p->fifo) {
             p->counters->future_samples++;
         } else {
-            int16_t *to = row(p, (uint32_t)ahead) + first;
-            for (uint8_t c = 0; c < samples->channels; c++) {
-                to[c] = ta_samples_get(samples, c, i);
-                p->lines[first + c].active = true;
-            }
+            size_t at = row(p, (uint32_t)ahead);
+            ta_samples_row(samples, i, p->kept.samples[at] + first);
+            ta_set_join(&p->present[at], &channels);
             note_newest(p, ahead);
+            kept = true;
         }
+    }
+    if (kept) {
+        ta_set_join(&p->active, &channels);
     }
 }
 
@@ -81,12 +94,10 @@ void ta_player_frame(ta_player *p, uint32_t position, uint16_t valid, uint8_t fi
 {
     size_t size = 2u * p->carriers;
     uint32_t longest = p->rate * TP_VALID_MS / 1000u;
-    ta_frame frame;
-    frame.position = position;
-    frame.valid = valid < longest ? valid : (uint16_t)longest;
+    valid = valid < longest ? valid : (uint16_t)longest;
     for (size_t c = 0; c < channels; c++) {
-        memcpy(frame.codes, envelopes + c * size, size);
-        switch (ta_envelope_offer(&p->envelopes[first + c], &frame, p->position, p->fifo)) {
+        switch (ta_envelope_offer(&p->kept.envelopes[first + c], position, valid, envelopes + c * size,
+                                  p->carriers, p->position, p->fifo)) {
         case TA_FRAME_LATE:
             p->counters->late_samples++;
             break;
@@ -95,7 +106,7 @@ void ta_player_frame(ta_player *p, uint32_t position, uint16_t valid, uint8_t fi
             break;
         default:
             note_newest(p, ta_distance(position, p->position));
-            p->lines[first + c].active = true;
+            ta_set_add(&p->active, first + c);
             break;
         }
     }
@@ -103,89 +114,100 @@ void ta_player_frame(ta_player *p, uint32_t position, uint16_t valid, uint8_t fi
 
 /* Phases, section 8.2. */
 
-static bool has_sample(ta_player *p, size_t channel)
+/* Whether all active channels have an envelope at this position. */
+static bool envelopes_ready(const ta_player *p)
 {
-    return row(p, 0)[channel] != TA_NOTHING;
+    for (size_t w = 0; w < TA_WORDS; w++) {
+        const ta_envelope *e = p->kept.envelopes + 32u * w;
+        for (uint32_t bits = p->active.words[w]; bits != 0; bits >>= 1, e++) {
+            if ((bits & 1u) != 0 && !ta_envelope_ready(e, p->position, p->moved)) {
+                return false;
+            }
+        }
+    }
+    return true;
 }
 
-static bool is_ready(ta_player *p, size_t channel)
+/* The active channels without a sample at this position. */
+static ta_set missing(const ta_player *p)
 {
-    if (p->mode == TP_MODE_SPECTRUM) {
-        return ta_envelope_ready(&p->envelopes[channel], p->position, p->moved);
-    }
-    return has_sample(p, channel);
+    ta_set channels = p->active;
+    ta_set_subtract(&channels, &p->present[p->head]);
+    return channels;
 }
 
 /* Whether some channel is active, and all that are have what they need at this position. */
-static bool all_ready(ta_player *p)
+static bool all_ready(const ta_player *p)
 {
-    bool some = false;
-    for (size_t c = 0; c < p->channels; c++) {
-        if (p->lines[c].active && !is_ready(p, c)) {
-            return false;
-        }
-        some = some || p->lines[c].active;
+    if (ta_set_empty(&p->active)) {
+        return false;
     }
-    return some;
+    if (p->mode == TP_MODE_SPECTRUM) {
+        return envelopes_ready(p);
+    }
+    ta_set channels = missing(p);
+    return ta_set_empty(&channels);
 }
 
-/* Begins a bridge to the channel's next sample within 20 ms; false where there is none. */
-static bool begin_bridge(ta_player *p, size_t channel)
+static void begin_bridge(ta_player *p, size_t channel, uint32_t ahead)
 {
-    ta_line *line = &p->lines[channel];
+    ta_bridge *bridge = &p->bridges[channel];
+    bridge->from = p->values[channel];
+    bridge->to = p->kept.samples[row(p, ahead)][channel];
+    bridge->length = (uint16_t)(ahead + 1u);
+    bridge->done = 0;
+    ta_set_add(&p->bridging, channel);
+}
+
+/* Begins a bridge for each of these channels that has a sample within 20 ms. Returns whether all have. */
+static bool begin_bridges(ta_player *p, ta_set channels)
+{
     uint32_t reach = p->rate / 50u;
     for (uint32_t ahead = 1; ahead <= reach && ahead < p->fill; ahead++) {
-        int16_t sample = row(p, ahead)[channel];
-        if (sample != TA_NOTHING) {
-            line->from = line->value;
-            line->to = sample;
-            line->length = (uint16_t)(ahead + 1u);
-            line->done = 0;
+        ta_set ends = ta_set_common(&channels, &p->present[row(p, ahead)]);
+        for (size_t c = 0; !ta_set_empty(&ends); c++) {
+            if (ta_set_has(&ends, c)) {
+                begin_bridge(p, c, ahead);
+                ta_set_remove(&ends, c);
+                ta_set_remove(&channels, c);
+            }
+        }
+        if (ta_set_empty(&channels)) {
             return true;
         }
     }
     return false;
 }
 
-/* Whether a channel goes on at this position: by itself, or by a bridge that is begun if need be. */
-static bool goes_on(ta_player *p, size_t channel)
+/* Whether each active channel goes on at this position: by itself, or by a bridge that is begun if need be. In
+ * RAMPDOWN a channel that does not go on keeps its value, so that none matters. */
+static bool all_go_on(ta_player *p)
 {
-    if (p->lines[channel].length > 0 || is_ready(p, channel)) {
-        return true;
+    if (p->mode == TP_MODE_SPECTRUM) {
+        return envelopes_ready(p);
     }
-    return p->mode == TP_MODE_PCM && begin_bridge(p, channel);
+    ta_set channels = missing(p);
+    ta_set_subtract(&channels, &p->bridging);
+    return ta_set_empty(&channels) || begin_bridges(p, channels);
 }
 
 /* WAITING and STARVED: no ramp, and frames whose position comes are dropped (10.3). */
 static void stop_envelopes(ta_player *p)
 {
-    for (size_t c = 0; c < p->channels; c++) {
-        ta_envelope_stop(&p->envelopes[c], p->position);
+    if (p->mode == TP_MODE_SPECTRUM) {
+        for (size_t c = 0; c < p->channels; c++) {
+            ta_envelope_stop(&p->kept.envelopes[c], p->position);
+        }
     }
 }
 
-/* An underrun. Bridges are given up; envelopes still come to this position, and stay there (10.3). */
+/* An underrun. Bridges are given up; envelopes still come to this position (next_spectrum). */
 static void starve(ta_player *p)
 {
     p->phase = TP_PHASE_STARVED;
+    p->starving = true;
     p->counters->underruns++;
-    for (size_t c = 0; c < p->channels; c++) {
-        p->lines[c].length = 0;
-        ta_envelope_advance(&p->envelopes[c], p->position, p->moved, p->carriers);
-    }
-    stop_envelopes(p);
-}
-
-/* In PLAYING. In RAMPDOWN a channel that does not go on keeps its value, so that none matters. */
-static bool all_go_on(ta_player *p)
-{
-    bool all = true;
-    for (size_t c = 0; c < p->channels; c++) {
-        if (p->lines[c].active && !goes_on(p, c)) {
-            all = false;
-        }
-    }
-    return all;
+    memset(&p->bridging, 0, sizeof p->bridging);
 }
 
 /* RUNNING: the phase of this instant, and with it the gain where it begins at full: at the position of
@@ -229,75 +251,83 @@ static void move_gain(ta_player *p, uint8_t state)
 
 /* Values before the gain. */
 
-/* A sample of the bridge under way, or of the buffer, or the last value again. */
-static void next_sample(ta_player *p, size_t channel)
+static void next_of_bridge(ta_player *p, size_t channel)
 {
-    ta_line *line = &p->lines[channel];
-    if (line->length > 0) {
-        int32_t rise = (int32_t)line->to - line->from;
-        line->done++;
-        line->value = (int16_t)(line->from + rise * line->done / line->length);
-        if (line->done + 1u == line->length) {
-            line->length = 0;
-        }
-    } else if (has_sample(p, channel)) {
-        line->value = row(p, 0)[channel];
+    ta_bridge *bridge = &p->bridges[channel];
+    int32_t rise = (int32_t)bridge->to - bridge->from;
+    int32_t done = ++bridge->done;
+    p->values[channel] = (int16_t)(bridge->from + rise * done / bridge->length);
+    if (bridge->done + 1u == bridge->length) {
+        ta_set_remove(&p->bridging, channel);
     }
 }
 
+/* The samples of this position; a channel without one keeps its value. */
+static void take_samples(ta_player *p)
+{
+    const ta_set *present = &p->present[p->head];
+    for (size_t w = 0; w < TA_WORDS; w++) {
+        const int16_t *sample = p->kept.samples[p->head] + 32u * w;
+        int16_t *value = p->values + 32u * w;
+        for (uint32_t bits = present->words[w]; bits != 0; bits >>= 1) {
+            if ((bits & 1u) != 0) {
+                *value = *sample;
+            }
+            value++;
+            sample++;
+        }
+    }
+}
+
+/* A channel on a bridge plays that, whatever has arrived meanwhile. */
 static void next_samples(ta_player *p)
 {
-    for (size_t c = 0; c < p->channels; c++) {
-        next_sample(p, c);
+    take_samples(p);
+    if (!ta_set_empty(&p->bridging)) {
+        for (size_t c = 0; c < p->channels; c++) {
+            if (ta_set_has(&p->bridging, c)) {
+                next_of_bridge(p, c);
+            }
+        }
     }
 }
 
-/* Sine and cosine of each carrier at this position (10.1). */
-static void turn(const ta_player *p, ta_phasor *turns)
-{
-    for (size_t k = 0; k < p->carriers; k++) {
-        uint32_t angle = p->increments[k] * p->position;
-        turns[k].i = ta_cosine(angle);
-        turns[k].q = ta_sine(angle);
-    }
-}
-
+/* The values at this position, where the carriers have these turns (10.1). Envelopes go on in PLAYING, and
+ * still do so at the instant of an underrun; from there on they stay until the gain is 0, and then are 0. */
 static void next_spectrum(ta_player *p)
 {
     ta_phasor turns[TA_CARRIERS];
-    turn(p, turns);
-    for (size_t c = 0; c < p->channels; c++) {
-        ta_envelope *envelope = &p->envelopes[c];
-        if (!p->lines[c].active) {
-            continue;
+    const size_t channels = p->channels;
+    const size_t carriers = p->carriers;
+    const bool plays = p->phase == TP_PHASE_PLAYING;
+    const bool goes_on = plays || p->starving;
+    const bool ends = !plays && p->gain == 0;
+    for (size_t k = 0; k < carriers; k++) {
+        turns[k] = ta_turn(p->increments[k] * p->position);
+    }
+    for (size_t c = 0; c < channels; c++) {
+        ta_envelope *e = &p->kept.envelopes[c];
+        if (goes_on && ta_set_has(&p->active, c)) {
+            p->values[c] = ta_envelope_next(e, p->position, p->moved, turns, p->carriers);
+        } else if (ta_set_has(&p->active, c)) {
+            p->values[c] = ta_envelope_value(e, turns, p->carriers);
         }
-        if (p->phase == TP_PHASE_PLAYING) {
-            ta_envelope_advance(envelope, p->position, p->moved, p->carriers);
-        } else if (p->gain == 0) {
-            ta_envelope_silence(envelope);
-        }
-        if (p->gain > 0) {
-            p->lines[c].value = ta_envelope_value(envelope, turns, p->carriers);
+        if (ends) {
+            ta_envelope_silence(e);
         }
     }
-}
-
-static bool bridging(const ta_player *p)
-{
-    for (size_t c = 0; c < p->channels; c++) {
-        if (p->lines[c].length > 0) {
-            return true;
-        }
+    if (p->starving) {
+        stop_envelopes(p);
     }
-    return false;
 }
 
 /* The values of this instant, in RUNNING and RAMPDOWN. */
 static void play(ta_player *p, uint8_t state, bool come)
 {
+    p->starving = false;
     if (state == TP_STATE_RUNNING) {
         settle(p, come);
-        if (p->phase == TP_PHASE_STARVED || bridging(p)) {
+        if (p->phase == TP_PHASE_STARVED || !ta_set_empty(&p->bridging)) {
             p->counters->lost_samples++;
         }
     } else if (p->phase == TP_PHASE_PLAYING) {
@@ -313,19 +343,60 @@ static void play(ta_player *p, uint8_t state, bool come)
 
 /* The last stage, section 11.2: nothing reaches the output but through here. */
 
-static void last_stage(ta_player *p, bool plays)
+/* The new code of a channel, which goes toward `want` by a step at most. */
+static int16_t step_to(int16_t *code, int32_t want, int32_t step)
 {
+    int32_t last = *code;
+    *code = (int16_t)(last + ta_clamp(want - last, step));
+    return *code;
+}
+
+/* At full gain. Returns the number of limited samples: a code that the limit of voltage holds down never
+ * reaches its value, since no code is above that limit. */
+static uint32_t bound(ta_player *p, const int16_t *values)
+{
+    const int32_t limit = p->limit;
+    const int32_t step = p->step;
+    int16_t *code = p->codes;
+    const int16_t *end = code + p->channels;
+    uint32_t limited = 0;
+    uint32_t loud = 0;
+    do {
+        int16_t value = *values++;
+        int16_t next = step_to(code++, ta_clamp(value, limit), step);
+        loud |= (uint16_t)next;
+        limited += next != value ? 1u : 0u;
+    } while (code < end);
+    p->silent = loud == 0;
+    return limited;
+}
+
+/* The same where the gain of the fade, or that of a guard, is not full. */
+static uint32_t bound_and_fade(ta_player *p)
+{
+    uint32_t limited = 0;
+    uint32_t loud = 0;
     for (size_t c = 0; c < p->channels; c++) {
-        int32_t value = plays ? p->lines[c].value : 0;
-        int32_t bounded = ta_clamp(value, p->limit);
+        int32_t bounded = ta_clamp(p->values[c], p->limit);
         int32_t want = bounded * (int32_t)p->gain / (int32_t)p->gain_full;
         want = want * p->held[c] / TA_GAIN_FULL;
-        int32_t last = p->codes[c];
-        int32_t next = last + ta_clamp(want - last, p->step);
-        p->codes[c] = (int16_t)next;
-        if (plays && ((bounded != value && p->gain > 0) || next != want)) {
-            p->counters->limited_samples++;
-        }
+        int16_t next = step_to(&p->codes[c], want, p->step);
+        loud |= (uint16_t)next;
+        limited += (bounded != p->values[c] && p->gain > 0) || next != want ? 1u : 0u;
+    }
+    p->silent = loud == 0;
+    return limited;
+}
+
+static void last_stage(ta_player *p, bool plays)
+{
+    static const int16_t still[TA_CHANNELS];
+    if (!plays) {
+        (void)bound(p, still);
+    } else if (p->gain == p->gain_full && !p->held_down) {
+        p->counters->limited_samples += bound(p, p->values);
+    } else {
+        p->counters->limited_samples += bound_and_fade(p);
     }
 }
 
@@ -340,22 +411,13 @@ void ta_player_instant(ta_player *p, uint8_t state, bool come)
 
 void ta_player_move(ta_player *p, bool hold)
 {
+    static const ta_set none;
     p->moved = !hold;
     if (hold) {
         return;
     }
-    clear_row(p, 0);
-    p->head = (uint16_t)((p->head + 1u) % p->fifo);
+    p->present[p->head] = none;
+    p->head = (uint16_t)row(p, 1);
     p->fill = (uint16_t)(p->fill > 0 ? p->fill - 1 : 0);
     p->position++;
-}
-
-bool ta_player_silent(const ta_player *p)
-{
-    for (size_t c = 0; c < p->channels; c++) {
-        if (p->codes[c] != 0) {
-            return false;
-        }
-    }
-    return true;
 }

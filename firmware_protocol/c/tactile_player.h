@@ -10,18 +10,13 @@
 #include "tactile_samples.h"
 #include "tactile_spectrum.h"
 
-/* Content of an empty place in the buffer; no sample code has this value. */
-#define TA_NOTHING INT16_MIN
-
-/* A channel of a PCM stream. */
+/* A straight line between two samples of a channel, over those that are missing (8.2). */
 typedef struct {
-    bool active;
-    int16_t value; /* last value, before the gain */
-    int16_t from;  /* values before and after the present bridge */
+    int16_t from;
     int16_t to;
-    uint16_t length; /* steps of the bridge, 0 without one */
+    uint16_t length; /* steps of the bridge */
     uint16_t done;
-} ta_line;
+} ta_bridge;
 
 typedef struct {
     ta_counters *counters;
@@ -29,8 +24,11 @@ typedef struct {
     uint8_t mode;
     uint8_t phase; /* phase of RUNNING; the RAMPDOWN that follows plays on by it */
     uint8_t carriers;
-    bool quick; /* RAMPDOWN at the slew limit */
-    bool moved; /* the position has changed since the last instant */
+    bool quick;     /* RAMPDOWN at the slew limit */
+    bool moved;     /* the position has changed since the last instant */
+    bool starving;  /* there is an underrun at this instant */
+    bool silent;    /* all codes are 0 */
+    bool held_down; /* some gain of `held` may be below TA_GAIN_FULL */
     uint16_t fifo;
     uint16_t head; /* row of the buffer that holds `position` */
     uint16_t fill; /* number of positions from `position` to the newest sample or frame */
@@ -41,11 +39,17 @@ typedef struct {
     int32_t limit;
     int32_t step;
     uint32_t increments[TA_CARRIERS];
-    int16_t codes[TA_CHANNELS]; /* codes that were put out last */
-    int32_t held[TA_CHANNELS];  /* gains of the guards (17.4), of TA_GAIN_FULL */
-    ta_line lines[TA_CHANNELS];
-    ta_envelope envelopes[TA_CHANNELS];
-    int16_t buffer[TA_FIFO][TA_CHANNELS];
+    int16_t codes[TA_CHANNELS];  /* codes that were put out last */
+    int32_t held[TA_CHANNELS];   /* gains of the guards (17.4), of TA_GAIN_FULL */
+    int16_t values[TA_CHANNELS]; /* last values, before the gain */
+    ta_set active;               /* channels of which something was kept since START (8.2) */
+    ta_set bridging;             /* channels with a bridge under way */
+    ta_bridge bridges[TA_CHANNELS];
+    ta_set present[TA_FIFO]; /* channels that have a sample in each row of the buffer */
+    union {                  /* a stream is of one mode, so that both share the memory */
+        int16_t samples[TA_FIFO][TA_CHANNELS];
+        ta_envelope envelopes[TA_CHANNELS];
+    } kept;
 } ta_player;
 
 void ta_player_init(ta_player *p, ta_counters *counters, uint8_t channels, uint16_t fifo);
@@ -64,8 +68,5 @@ void ta_player_instant(ta_player *p, uint8_t state, bool come);
 
 /* Goes on to the next position after an instant; `hold` keeps the position while START is pending. */
 void ta_player_move(ta_player *p, bool hold);
-
-/* Returns whether all codes are 0. */
-bool ta_player_silent(const ta_player *p);
 
 #endif

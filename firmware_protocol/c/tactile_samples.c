@@ -27,44 +27,56 @@ static int32_t extend(uint32_t value, unsigned bits)
     return (int32_t)(value ^ (uint32_t)half) - half;
 }
 
-static int32_t pcm16_get(const uint8_t *data, size_t index)
+static void pcm16_row(const uint8_t *data, size_t channels, int16_t *codes)
 {
-    return extend((uint32_t)data[2u * index] | (uint32_t)data[2u * index + 1u] << 8, 16);
+    const int16_t *end = codes + channels;
+    do {
+        int32_t value = extend((uint32_t)data[0] | (uint32_t)data[1] << 8, 16);
+        *codes++ = (int16_t)(value < -FULL_SCALE ? -FULL_SCALE : value);
+        data += 2;
+    } while (codes < end);
 }
 
-/* Three bytes hold two samples. */
-static int32_t pcm12_get(const uint8_t *data, size_t index)
+/* Three bytes hold two samples; a row begins in the middle of them where `index` is odd. */
+static void pcm12_row(const uint8_t *data, size_t index, size_t channels, int16_t *codes)
 {
     const uint8_t *pair = data + index / 2u * 3u;
-    uint32_t value = index % 2u == 0 ? pair[0] | (pair[1] & 0x0Fu) << 8
-                                     : (uint32_t)pair[1] >> 4 | (uint32_t)pair[2] << 4;
-    return 16 * ta_clamp(extend(value, 12), 2047);
+    bool second = index % 2u != 0;
+    for (size_t c = 0; c < channels; c++) {
+        uint32_t value = second ? (uint32_t)pair[1] >> 4 | (uint32_t)pair[2] << 4
+                                : pair[0] | (pair[1] & 0x0Fu) << 8;
+        codes[c] = (int16_t)(16 * ta_clamp(extend(value, 12), 2047));
+        pair += second ? 3 : 0;
+        second = !second;
+    }
 }
 
-/* `line`: the blocks of one channel. */
-static int32_t bfp8_get(const uint8_t *line, uint8_t at)
+/* `data`: the blocks of the first channel, of `line` bytes as those of each channel. */
+static void bfp8_row(const uint8_t *data, size_t line, uint8_t at, size_t channels, int16_t *codes)
 {
-    const uint8_t *block = line + at / BLOCK * (BLOCK + 1u);
-    unsigned exponent = block[0] < EXPONENT_MAX ? block[0] : EXPONENT_MAX;
-    return extend(block[1u + at % BLOCK], 8) * ((int32_t)1 << exponent);
+    const uint8_t *block = data + at / BLOCK * (BLOCK + 1u);
+    for (size_t c = 0; c < channels; c++) {
+        unsigned exponent = block[0] < EXPONENT_MAX ? block[0] : EXPONENT_MAX;
+        int32_t value = extend(block[1u + at % BLOCK], 8) * ((int32_t)1 << exponent);
+        codes[c] = (int16_t)(value < -FULL_SCALE ? -FULL_SCALE : value);
+        block += line;
+    }
 }
 
-int16_t ta_samples_get(const ta_samples *s, uint8_t channel, uint8_t at)
+void ta_samples_row(const ta_samples *s, uint8_t at, int16_t *codes)
 {
-    size_t index = (size_t)at * s->channels + channel;
-    int32_t value;
+    size_t index = (size_t)at * s->channels;
     switch (s->format) {
     case TP_SAMPLE_FORMAT_PCM16:
-        value = pcm16_get(s->data, index);
+        pcm16_row(s->data + 2u * index, s->channels, codes);
         break;
     case TP_SAMPLE_FORMAT_PCM12:
-        value = pcm12_get(s->data, index);
+        pcm12_row(s->data, index, s->channels, codes);
         break;
     default:
-        value = bfp8_get(s->data + channel * ta_samples_size(s->format, 1, s->samples), at);
+        bfp8_row(s->data, ta_samples_size(s->format, 1, s->samples), at, s->channels, codes);
         break;
     }
-    return (int16_t)ta_clamp(value, FULL_SCALE);
 }
 
 /* value / 2^bits to the nearest, halves up. */

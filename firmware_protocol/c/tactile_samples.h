@@ -15,8 +15,9 @@ typedef struct {
 /* Returns the number of bytes of the body, 0 for an unknown format. */
 size_t ta_samples_size(uint8_t format, uint8_t channels, uint8_t samples);
 
-/* Returns the sample code of one channel at one position of the body, -32767 ... 32767. */
-int16_t ta_samples_get(const ta_samples *samples, uint8_t channel, uint8_t at);
+/* Decodes one position of the body: a sample code, -32767 ... 32767, for each of its channels, of which there is
+ * at least one. */
+void ta_samples_row(const ta_samples *samples, uint8_t at, int16_t *codes);
 
 /* Encodes channels x samples codes, position by position, into `out`, which has room for
  * ta_samples_size. Amplifiers do not need it; tests and hosts in firmware do. */

@@ -41,7 +41,7 @@ ta_verdict ta_act_limits(ta_amplifier *amp, const ta_request *r)
 {
     tp_limits m;
     (void)tp_limits_decode(&m, r->packet.payload, r->packet.size);
-    if (!ta_player_silent(&amp->player)) {
+    if (!amp->player.silent) {
         return ta_refuse(amp, TP_NAK_STATE, 0);
     }
     if (m.voltage_uv > amp->voltage_uv) {

@@ -60,25 +60,45 @@ static const int32_t amplitudes[256] = {
     7694433, 7919115, 8150357, 8388352,
 };
 
-/* SINE[k], k = 0 ... 1024, from its first quarter. */
-static int32_t sine_at(uint32_t k)
+/* SINE between a and b, of which r / 2^16 has passed; the shift is arithmetic. */
+static int32_t between(int32_t a, int32_t b, int32_t r)
 {
-    uint32_t half = k & 511u;
-    int32_t value = quarter[half <= 256u ? half : 512u - half];
-    return (k & 512u) != 0 ? -value : value;
+    int32_t rise = (b - a) * r + (1 << 15);
+    return a + (rise >= 0 ? rise >> 16 : ~(~rise >> 16));
 }
 
-int32_t ta_sine(uint32_t angle)
+/* Cosine and sine of k steps: the first quarter, read upward and downward, with the signs of the quadrant. */
+static ta_phasor steps_on(uint32_t k)
 {
-    uint32_t i = angle >> 22;
+    int32_t up = quarter[k & 255u];
+    int32_t down = quarter[256u - (k & 255u)];
+    ta_phasor first = {down, up};
+    ta_phasor second = {-up, down};
+    ta_phasor p = (k & 256u) != 0 ? second : first;
+    if ((k & 512u) != 0) {
+        p.i = -p.i;
+        p.q = -p.q;
+    }
+    return p;
+}
+
+/* The same between two steps; rounding is not symmetric, so that the sign comes before it. */
+ta_phasor ta_turn(uint32_t angle)
+{
+    uint32_t k = angle >> 22;
     int32_t r = (int32_t)((angle >> 6) & 0xFFFFu);
-    int32_t a = sine_at(i);
-    return a + (int32_t)ta_shift_right((sine_at(i + 1u) - a) * r + (1 << 15), 16);
-}
-
-int32_t ta_cosine(uint32_t angle)
-{
-    return ta_sine(angle + (1u << 30));
+    const int16_t *up = quarter + (k & 255u);
+    const int16_t *down = quarter + 256u - (k & 255u);
+    int32_t rising[2] = {up[0], up[1]};
+    int32_t falling[2] = {down[0], down[-1]};
+    const int32_t *sine = (k & 256u) != 0 ? falling : rising;
+    const int32_t *cosine = (k & 256u) != 0 ? rising : falling;
+    int32_t above = (k & 512u) != 0 ? -1 : 1;
+    int32_t right = ((k + 256u) & 512u) != 0 ? -1 : 1;
+    ta_phasor p;
+    p.i = between(right * cosine[0], right * cosine[1], r);
+    p.q = -between(above * sine[0], above * sine[1], r);
+    return p;
 }
 
 int32_t ta_amplitude(uint8_t code)
@@ -86,19 +106,15 @@ int32_t ta_amplitude(uint8_t code)
     return amplitudes[code];
 }
 
+/* A phase code is a whole number of steps of SINE, so that nothing is interpolated. */
 ta_phasor ta_phasor_decode(uint8_t amplitude, uint8_t phase)
 {
     int64_t a = amplitudes[amplitude];
-    uint32_t angle = (uint32_t)phase << 24;
+    ta_phasor turn = steps_on(4u * phase);
     ta_phasor p;
-    p.i = (int32_t)ta_shift_right(a * ta_cosine(angle) + (1 << 14), 15);
-    p.q = (int32_t)ta_shift_right(a * ta_sine(angle) + (1 << 14), 15);
+    p.i = (int32_t)ta_rounded(a * turn.i, 15);
+    p.q = (int32_t)ta_rounded(a * turn.q, 15);
     return p;
-}
-
-static ta_phasor frame_at(const ta_frame *frame, size_t carrier)
-{
-    return ta_phasor_decode(frame->codes[2u * carrier], frame->codes[2u * carrier + 1u]);
 }
 
 void ta_envelope_clear(ta_envelope *e)
@@ -107,6 +123,9 @@ void ta_envelope_clear(ta_envelope *e)
     e->ramping = false;
     e->queued = 0;
     e->in_force = 0;
+    for (size_t i = 0; i <= TA_QUEUE; i++) {
+        e->order[i] = (uint8_t)i;
+    }
 }
 
 void ta_envelope_silence(ta_envelope *e)
@@ -114,121 +133,188 @@ void ta_envelope_silence(ta_envelope *e)
     memset(e->present, 0, sizeof e->present);
 }
 
-/* Takes the frame at `from` out of the queue. */
-static void unqueue(ta_envelope *e, size_t from)
+/* The frame at a place of `order`, of which 0 is that of the ramp and 1 the first of the queue. */
+static ta_frame *frame_at(ta_envelope *e, size_t place)
 {
+    return &e->frames[e->order[place]];
+}
+
+static uint32_t position_at(const ta_envelope *e, size_t place)
+{
+    return e->frames[e->order[place]].position;
+}
+
+/* Puts the frame at a place of `order` behind the queue, which gets shorter by one. */
+static void retire(ta_envelope *e, size_t place)
+{
+    uint8_t *order = e->order + place;
+    const uint8_t *last = e->order + e->queued;
+    uint8_t frame = *order;
+    for (; order < last; order++) {
+        *order = order[1];
+    }
+    *order = frame;
     e->queued--;
-    for (size_t i = from; i < e->queued; i++) {
-        e->queue[i] = e->queue[i + 1u];
-    }
 }
 
-static void enqueue(ta_envelope *e, size_t at, const ta_frame *frame)
+/* Puts the frame behind the queue, which gets longer by one, at a place of `order`. */
+static void insert(ta_envelope *e, size_t place)
 {
-    for (size_t i = e->queued; i > at; i--) {
-        e->queue[i] = e->queue[i - 1u];
-    }
-    e->queue[at] = *frame;
     e->queued++;
+    uint8_t frame = e->order[e->queued];
+    for (size_t i = e->queued; i > place; i--) {
+        e->order[i] = e->order[i - 1u];
+    }
+    e->order[place] = frame;
 }
 
-ta_frame_fate ta_envelope_offer(ta_envelope *e, const ta_frame *frame, uint32_t n, uint32_t fifo)
+ta_frame_fate ta_envelope_offer(ta_envelope *e, uint32_t position, uint16_t valid, const uint8_t *codes,
+                                uint8_t carriers, uint32_t n, uint32_t fifo)
 {
     ta_frame_fate fate = TA_FRAME_KEPT;
-    int32_t ahead = ta_distance(frame->position, n);
-    size_t at = 0;
-    if (ahead <= 0 || (e->ramping && ta_distance(frame->position, e->target.position) <= 0)) {
+    int32_t ahead = ta_distance(position, n);
+    size_t at = 1;
+    if (ahead <= 0 || (e->ramping && ta_distance(position, position_at(e, 0)) <= 0)) {
         return TA_FRAME_LATE;
     }
     if (ahead >= (int32_t)fifo) {
         return TA_FRAME_FUTURE;
     }
-    while (at < e->queued && ta_distance(frame->position, e->queue[at].position) > 0) {
+    while (at <= e->queued && ta_distance(position, position_at(e, at)) > 0) {
         at++;
     }
-    if (at < e->queued && e->queue[at].position == frame->position) {
+    if (at <= e->queued && position_at(e, at) == position) {
         return TA_FRAME_KEPT;
     }
     if (e->queued == TA_QUEUE) {
         fate = TA_FRAME_FUTURE;
-        if (at == TA_QUEUE) {
+        if (at > TA_QUEUE) {
             return fate;
         }
-        unqueue(e, TA_QUEUE - 1u);
+        e->queued--;
     }
-    enqueue(e, at, frame);
+    insert(e, at);
+    ta_frame *frame = frame_at(e, at);
+    frame->position = position;
+    frame->valid = valid;
+    for (size_t c = 0; c < carriers; c++) {
+        frame->phasors[c] = ta_phasor_decode(codes[2u * c], codes[2u * c + 1u]);
+    }
     return fate;
 }
 
 bool ta_envelope_ready(const ta_envelope *e, uint32_t n, bool moved)
 {
-    bool ends = e->ramping && e->target.position == n;
-    if (e->queued > 0 || (e->ramping && !ends)) {
+    if (e->queued > 0) {
         return true;
     }
-    return ends ? e->target.valid > 0 : e->in_force > (moved ? 1u : 0u);
-}
-
-/* Step 2. */
-static void begin_ramp(ta_envelope *e, uint32_t n, uint8_t carriers)
-{
-    e->target = e->queue[0];
-    unqueue(e, 0);
-    e->ramping = true;
-    int32_t length = ta_distance(e->target.position, n);
-    for (size_t c = 0; c < carriers; c++) {
-        ta_phasor end = frame_at(&e->target, c);
-        e->step[c].i = (end.i - e->present[c].i) / length;
-        e->step[c].q = (end.q - e->present[c].q) / length;
+    if (!e->ramping) {
+        return e->in_force > (moved ? 1u : 0u);
     }
-}
-
-/* Step 1. */
-static void end_ramp(ta_envelope *e, uint8_t carriers)
-{
-    for (size_t c = 0; c < carriers; c++) {
-        e->present[c] = frame_at(&e->target, c);
-    }
-    e->ramping = false;
-    e->in_force = e->target.valid;
-}
-
-void ta_envelope_advance(ta_envelope *e, uint32_t n, bool moved, uint8_t carriers)
-{
-    if (moved && e->in_force > 0) {
-        e->in_force--;
-    }
-    if (e->ramping && e->target.position == n) {
-        end_ramp(e, carriers);
-    } else if (e->ramping && moved) {
-        for (size_t c = 0; c < carriers; c++) {
-            e->present[c].i += e->step[c].i;
-            e->present[c].q += e->step[c].q;
-        }
-    }
-    if (!e->ramping && e->queued > 0) {
-        begin_ramp(e, n, carriers);
-    }
+    const ta_frame *target = &e->frames[e->order[0]];
+    return target->position != n || target->valid > 0;
 }
 
 void ta_envelope_stop(ta_envelope *e, uint32_t n)
 {
     e->ramping = false;
     e->in_force = 0;
-    while (e->queued > 0 && ta_distance(e->queue[0].position, n) <= 0) {
-        unqueue(e, 0);
+    while (e->queued > 0 && ta_distance(position_at(e, 1), n) <= 0) {
+        retire(e, 1);
     }
+}
+
+/* The sums over the carriers have at least one: without carriers there is no START (5). */
+
+static int64_t add_product(int64_t sum, ta_phasor v, ta_phasor turn)
+{
+    sum += (int64_t)v.i * turn.i;
+    sum += (int64_t)v.q * turn.q;
+    return sum;
+}
+
+/* The value that a sum stands for, which is below 2^46: 64 carriers of products below 2^39, twice. */
+static int16_t value_of(int64_t sum)
+{
+    int32_t value = (int32_t)ta_rounded(sum, 23);
+    return (int16_t)ta_clamp(value, (int32_t)TP_FULL_SCALE_CODE);
 }
 
 int16_t ta_envelope_value(const ta_envelope *e, const ta_phasor *turns, uint8_t carriers)
 {
-    int64_t sum = (int64_t)1 << 22;
-    for (size_t c = 0; c < carriers; c++) {
-        sum += (int64_t)e->present[c].i * turns[c].i - (int64_t)e->present[c].q * turns[c].q;
+    const ta_phasor *v = e->present;
+    const ta_phasor *end = turns + carriers;
+    int64_t sum = 0;
+    do {
+        sum = add_product(sum, *v++, *turns++);
+    } while (turns < end);
+    return value_of(sum);
+}
+
+/* The next two carry out a step and take the value in one pass: no instant costs much more than any other,
+ * whatever frames begin or end at it. */
+
+static int16_t step_on(ta_envelope *e, const ta_phasor *turns, uint8_t carriers)
+{
+    ta_phasor *present = e->present;
+    const ta_phasor *step = e->step;
+    const ta_phasor *end = turns + carriers;
+    int64_t sum = 0;
+    do {
+        ta_phasor change = *step++;
+        ta_phasor v = *present;
+        ta_phasor turn = *turns++;
+        v.i += change.i;
+        v.q += change.q;
+        *present++ = v;
+        sum = add_product(sum, v, turn);
+    } while (turns < end);
+    return value_of(sum);
+}
+
+/* Begins a ramp of `length` positions at the envelope `from`. */
+static int16_t begin_ramp(ta_envelope *e, const ta_phasor *from, int32_t length, const ta_phasor *turns,
+                          uint8_t carriers)
+{
+    ta_phasor *present = e->present;
+    ta_phasor *step = e->step;
+    const ta_phasor *to = frame_at(e, 0)->phasors;
+    const ta_phasor *end = turns + carriers;
+    int64_t sum = 0;
+    do {
+        ta_phasor v = *from++;
+        ta_phasor change = *to++;
+        ta_phasor turn = *turns++;
+        *present++ = v;
+        change.i = (change.i - v.i) / length;
+        change.q = (change.q - v.q) / length;
+        *step++ = change;
+        sum = add_product(sum, v, turn);
+    } while (turns < end);
+    return value_of(sum);
+}
+
+int16_t ta_envelope_next(ta_envelope *e, uint32_t n, bool moved, const ta_phasor *turns,
+                         uint8_t carriers)
+{
+    const ta_phasor *from = e->present;
+    if (moved && e->in_force > 0) {
+        e->in_force--;
     }
-    sum = ta_shift_right(sum, 23);
-    if (sum > (int32_t)TP_FULL_SCALE_CODE) {
-        return (int16_t)TP_FULL_SCALE_CODE;
+    if (e->ramping && position_at(e, 0) == n) {
+        from = frame_at(e, 0)->phasors;
+        e->ramping = false;
+        e->in_force = frame_at(e, 0)->valid;
+    } else if (e->ramping) {
+        return moved ? step_on(e, turns, carriers) : ta_envelope_value(e, turns, carriers);
     }
-    return (int16_t)(sum < -(int32_t)TP_FULL_SCALE_CODE ? -(int32_t)TP_FULL_SCALE_CODE : sum);
+    if (e->queued > 0) {
+        retire(e, 0);
+        e->ramping = true;
+        return begin_ramp(e, from, ta_distance(position_at(e, 0), n), turns, carriers);
+    }
+    if (from != e->present) {
+        memcpy(e->present, from, carriers * sizeof *from);
+    }
+    return ta_envelope_value(e, turns, carriers);
 }

@@ -12,7 +12,10 @@ static bool nowhere(void *context, const uint8_t *bytes, size_t size)
 
 static void round_trip(ta_cobs *cobs, const uint8_t *data, size_t size)
 {
-    static uint8_t coded[TA_COBS_MAX(TA_PACKET_MAX)];
+    static uint8_t coded[TA_COBS_MAX(TA_PACKET_MAX) + 1u];
+    ta_cobs_event event;
+    size_t piece = size > 0 ? 1u + data[0] : 1u; /* fed at a time */
+    size_t taken = 0;
     if (size > TA_PACKET_MAX) {
         return;
     }
@@ -21,9 +24,13 @@ static void round_trip(ta_cobs *cobs, const uint8_t *data, size_t size)
     ta_cobs_init(cobs, TA_PACKET_MAX);
     for (size_t i = 0; i < length; i++) {
         HOLDS(coded[i] != 0);
-        HOLDS(ta_cobs_feed(cobs, coded[i]) == TA_COBS_MORE);
     }
-    HOLDS(ta_cobs_feed(cobs, 0) == TA_COBS_FRAME);
+    coded[length++] = 0;
+    do {
+        size_t left = length - taken;
+        taken += ta_cobs_feed(cobs, coded + taken, left < piece ? left : piece, &event);
+        HOLDS(event == (taken < length ? TA_COBS_MORE : TA_COBS_FRAME));
+    } while (taken < length);
     HOLDS(cobs->frame == size && (size == 0 || memcmp(cobs->bytes, data, size) == 0));
 }
 

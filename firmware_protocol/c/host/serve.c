@@ -73,7 +73,7 @@ static void power_down(virtual_amplifier *v)
     ta_fault(&v->amp, TP_FAULT_HARDWARE, tick);
     do {
         virtual_run(v, ta_next_instant(&v->amp));
-    } while (!ta_player_silent(&v->amp.player));
+    } while (!v->amp.player.silent);
 }
 
 static void begin(virtual_amplifier *v, uint8_t link, int *fd)

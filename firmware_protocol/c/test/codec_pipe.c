@@ -108,8 +108,10 @@ static uint32_t stream(size_t size)
     uint32_t oversized = 0;
     size_t at = 0;
     ta_cobs_init(&cobs, (size_t)tp_get_le(in, size, 0, 2));
-    for (size_t i = 2; i < size; i++) {
-        switch (ta_cobs_feed(&cobs, in[i])) {
+    for (size_t i = 2; i < size;) {
+        ta_cobs_event event;
+        i += ta_cobs_feed(&cobs, in + i, size - i, &event);
+        switch (event) {
         case TA_COBS_FRAME:
             malformed += cobs.frame < TA_OVERHEAD;
             at = add_packet(at, cobs.bytes, cobs.frame);
@@ -171,10 +173,12 @@ static uint32_t reassemble(size_t size)
 static uint32_t decode_samples(void)
 {
     ta_samples samples = {in[0], in[1], in[2], in + 3};
+    int16_t codes[255];
     size_t at = 0;
-    for (uint8_t s = 0; s < samples.samples; s++) {
+    for (uint8_t s = 0; samples.channels > 0 && s < samples.samples; s++) {
+        ta_samples_row(&samples, s, codes);
         for (uint8_t c = 0; c < samples.channels; c++) {
-            tp_put_le(out + at, (uint64_t)(uint16_t)ta_samples_get(&samples, c, s), 2);
+            tp_put_le(out + at, (uint64_t)(uint16_t)codes[c], 2);
             at += 2;
         }
     }

@@ -328,9 +328,11 @@ static void do_decode(void)
     samples.channels = (uint8_t)number();
     hex(word());
     samples.data = bytes;
-    for (uint8_t at = 0; at < samples.samples; at++) {
+    for (uint8_t at = 0; samples.channels > 0 && at < samples.samples; at++) {
+        int16_t codes[255];
+        ta_samples_row(&samples, at, codes);
         for (uint8_t channel = 0; channel < samples.channels; channel++) {
-            printf("%d ", ta_samples_get(&samples, channel, at));
+            printf("%d ", codes[channel]);
         }
     }
 }
@@ -361,9 +363,7 @@ static void do_value(void)
         return;
     }
     for (size_t i = 0; i < carriers; i++) {
-        uint32_t angle = (uint32_t)number() * position;
-        turns[i].i = ta_cosine(angle);
-        turns[i].q = ta_sine(angle);
+        turns[i] = ta_turn((uint32_t)number() * position);
     }
     for (size_t i = 0; i < carriers; i++) {
         uint8_t amplitude = (uint8_t)number();
@@ -382,7 +382,8 @@ static void do_size(void)
 static void do_sine(void)
 {
     uint32_t angle = (uint32_t)number();
-    printf("%d %d", ta_sine(angle), ta_cosine(angle));
+    ta_phasor turn = ta_turn(angle);
+    printf("%d %d", -turn.q, turn.i);
 }
 
 static void do_amplitude(void)

@@ -49,14 +49,22 @@ static void cobs_case(const uint8_t *plain, size_t size, const uint8_t *coded, s
 {
     static ta_cobs cobs;
     uint8_t out[600];
+    ta_cobs_event event;
     CHECK(ta_cobs_encode(plain, size, out) == length);
     CHECK(memcmp(out, coded, length) == 0);
-    ta_cobs_init(&cobs, 512);
-    for (size_t i = 0; i < length; i++) {
-        CHECK(ta_cobs_feed(&cobs, coded[i]) == TA_COBS_MORE);
+    out[length] = 0;
+    out[length + 1] = 1; /* of the next frame */
+    for (size_t piece = 1; piece <= length + 2; piece++) {
+        size_t taken = 0;
+        ta_cobs_init(&cobs, size > 0 ? size : 1);
+        do {
+            size_t left = length + 2 - taken;
+            taken += ta_cobs_feed(&cobs, out + taken, left < piece ? left : piece, &event);
+            CHECK(event == (taken <= length ? TA_COBS_MORE : TA_COBS_FRAME));
+        } while (taken <= length);
+        CHECK(taken == length + 1);
+        CHECK(cobs.frame == size && memcmp(cobs.bytes, plain, size) == 0);
     }
-    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_FRAME);
-    CHECK(cobs.frame == size && memcmp(cobs.bytes, plain, size) == 0);
 }
 
 /* The example of Cheshire & Baker 1999, the start of an IP packet, and runs as long as the longest
@@ -92,22 +100,30 @@ static void test_cobs(void)
     cobs_case(run, 255, block, 257);
 }
 
+static ta_cobs_event fed(ta_cobs *cobs, uint8_t byte)
+{
+    ta_cobs_event event;
+    size_t taken = ta_cobs_feed(cobs, &byte, 1, &event);
+    CHECK(taken == 1 || event == TA_COBS_OVERSIZED);
+    return event;
+}
+
 static void test_cobs_errors(void)
 {
     static ta_cobs cobs;
     int oversized = 0;
     ta_cobs_init(&cobs, 64);
-    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_MORE); /* nothing between two zeros */
-    CHECK(ta_cobs_feed(&cobs, 3) == TA_COBS_MORE);
-    CHECK(ta_cobs_feed(&cobs, 1) == TA_COBS_MORE);
-    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_MALFORMED); /* the block is one byte short */
+    CHECK(fed(&cobs, 0) == TA_COBS_MORE); /* nothing between two zeros */
+    CHECK(fed(&cobs, 3) == TA_COBS_MORE);
+    CHECK(fed(&cobs, 1) == TA_COBS_MORE);
+    CHECK(fed(&cobs, 0) == TA_COBS_MALFORMED); /* the block is one byte short */
     for (size_t i = 0; i < 500; i++) {
-        oversized += ta_cobs_feed(&cobs, 9) == TA_COBS_OVERSIZED;
+        oversized += fed(&cobs, 9) == TA_COBS_OVERSIZED;
     }
     CHECK(oversized == 1);
-    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_MORE);
-    CHECK(ta_cobs_feed(&cobs, 1) == TA_COBS_MORE);
-    CHECK(ta_cobs_feed(&cobs, 0) == TA_COBS_FRAME && cobs.frame == 0); /* good again */
+    CHECK(fed(&cobs, 0) == TA_COBS_MORE);
+    CHECK(fed(&cobs, 1) == TA_COBS_MORE);
+    CHECK(fed(&cobs, 0) == TA_COBS_FRAME && cobs.frame == 0); /* good again */
 }
 
 /* A packet cut for 8, 32 and 64 bytes comes together; every fragment but the last is full. */
@@ -169,25 +185,35 @@ static void test_fd_lengths(void)
     CHECK(ta_can_fd_length(49) == 64 && ta_can_fd_length(64) == 64);
 }
 
+static int32_t sine(uint32_t angle)
+{
+    return -ta_turn(angle).q;
+}
+
+static int32_t cosine(uint32_t angle)
+{
+    return ta_turn(angle).i;
+}
+
 /* 10.1: odd about half a turn, even about a quarter, and at most 1 off in sin^2 + cos^2. */
 static void test_sine(void)
 {
-    CHECK(ta_sine(0) == 0 && ta_sine(1u << 30) == 32767);
-    CHECK(ta_sine(2u << 30) == 0 && ta_sine(3u << 30) == -32767);
-    CHECK(ta_cosine(0) == 32767 && ta_cosine(2u << 30) == -32767);
-    CHECK(ta_sine(1u << 21) == 101 && ta_sine(0u - (1u << 21)) == -100); /* 100.5 up */
-    CHECK(ta_sine(1u << 22) == 201 && ta_sine(128u << 22) == 23170); /* 32767 sin(pi/4) */
+    CHECK(sine(0) == 0 && sine(1u << 30) == 32767);
+    CHECK(sine(2u << 30) == 0 && sine(3u << 30) == -32767);
+    CHECK(cosine(0) == 32767 && cosine(2u << 30) == -32767);
+    CHECK(sine(1u << 21) == 101 && sine(0u - (1u << 21)) == -100); /* 100.5 up */
+    CHECK(sine(1u << 22) == 201 && sine(128u << 22) == 23170); /* 32767 sin(pi/4) */
     for (uint32_t k = 0; k < 1024; k++) {
         uint32_t angle = k << 22;
-        CHECK(ta_sine(angle + (2u << 30)) == -ta_sine(angle));
-        CHECK(ta_sine((2u << 30) - angle) == ta_sine(angle));
-        CHECK(ta_cosine(angle) == ta_sine(angle + (1u << 30)));
-        int64_t square = (int64_t)ta_sine(angle) * ta_sine(angle) +
-                         (int64_t)ta_cosine(angle) * ta_cosine(angle);
+        CHECK(sine(angle + (2u << 30)) == -sine(angle));
+        CHECK(sine((2u << 30) - angle) == sine(angle));
+        CHECK(cosine(angle) == sine(angle + (1u << 30)));
+        int64_t square = (int64_t)sine(angle) * sine(angle) +
+                         (int64_t)cosine(angle) * cosine(angle);
         CHECK(llabs(square - 32767LL * 32767LL) <= 32767 * 2);
     }
     for (uint32_t i = 0; i < 4096; i++) { /* rises through the first quarter, interpolated */
-        CHECK(ta_sine(i << 18) <= ta_sine((i + 1) << 18));
+        CHECK(sine(i << 18) <= sine((i + 1) << 18));
     }
 }
 
@@ -203,53 +229,69 @@ static void test_amplitudes(void)
     CHECK(p.i == 0 && p.q == (int32_t)((8388352LL * 32767 + 16384) >> 15));
 }
 
-/* A frame, its ramp, its end in force and the expiry after `valid` (10.3). */
+/* A frame of one carrier at a position, with the largest amplitude. */
+static ta_frame_fate offer(ta_envelope *e, uint32_t position, uint32_t n, uint32_t fifo)
+{
+    static const uint8_t codes[] = {255, 0};
+    return ta_envelope_offer(e, position, 2, codes, 1, n, fifo);
+}
+
+/* A frame, its ramp, its end in force and the expiry after `valid` (10.3). The carrier stands at its cosine's
+ * top, so that the value is the envelope. */
 static void test_envelope(void)
 {
     static ta_envelope e;
-    ta_frame frame = {0};
     ta_phasor full = ta_phasor_decode(255, 0);
+    ta_phasor top = ta_turn(0);
     ta_envelope_clear(&e);
-    frame.position = 0xFFFFFFFFu; /* positions wrap */
-    CHECK(ta_envelope_offer(&e, &frame, 0xFFFFFFFFu, 100) == TA_FRAME_LATE);
-    frame.position = 3;
-    frame.valid = 2;
-    frame.codes[0] = 255;
-    CHECK(ta_envelope_offer(&e, &frame, 0xFFFFFFFFu, 4) == TA_FRAME_FUTURE);
+    CHECK(offer(&e, 0xFFFFFFFFu, 0xFFFFFFFFu, 100) == TA_FRAME_LATE); /* positions wrap */
+    CHECK(offer(&e, 3, 0xFFFFFFFFu, 4) == TA_FRAME_FUTURE);
     CHECK(!ta_envelope_ready(&e, 0xFFFFFFFFu, false));
-    CHECK(ta_envelope_offer(&e, &frame, 0xFFFFFFFFu, 5) == TA_FRAME_KEPT);
+    CHECK(offer(&e, 3, 0xFFFFFFFFu, 5) == TA_FRAME_KEPT);
     for (uint32_t i = 0; i < 4; i++) {
         CHECK(ta_envelope_ready(&e, 0xFFFFFFFFu + i, i > 0));
-        ta_envelope_advance(&e, 0xFFFFFFFFu + i, i > 0, 1);
+        int16_t value = ta_envelope_next(&e, 0xFFFFFFFFu + i, i > 0, &top, 1);
         CHECK(e.present[0].i == full.i / 4 * (int32_t)i);
+        CHECK(value == (int16_t)ta_rounded((int64_t)full.i / 4 * (int64_t)i * 32767, 23));
+        CHECK(value == ta_envelope_value(&e, &top, 1));
     }
-    CHECK(ta_envelope_offer(&e, &frame, 3, 5) == TA_FRAME_LATE); /* not after the ramp's end */
-    ta_envelope_advance(&e, 3, true, 1);
+    CHECK(offer(&e, 3, 3, 5) == TA_FRAME_LATE); /* not after the ramp's end */
+    CHECK(ta_envelope_next(&e, 3, true, &top, 1) == ta_rounded((int64_t)full.i * 32767, 23));
     CHECK(!e.ramping && e.present[0].i == full.i && e.present[0].q == full.q);
     CHECK(ta_envelope_ready(&e, 4, true));
-    ta_envelope_advance(&e, 4, true, 1);
+    (void)ta_envelope_next(&e, 4, true, &top, 1);
     CHECK(!ta_envelope_ready(&e, 5, true));
 }
 
-/* The queue holds the four next; a fifth is the last or drops the last. */
+/* The queue holds the four next; a fifth is the last or drops the last. They are played in their order. */
 static void test_queue(void)
 {
     static ta_envelope e;
-    ta_frame frame = {0};
+    ta_phasor top = ta_turn(0);
     static const uint32_t order[] = {40, 20, 30, 50};
     ta_envelope_clear(&e);
     for (size_t i = 0; i < 4; i++) {
-        frame.position = order[i];
-        CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_KEPT);
+        CHECK(offer(&e, order[i], 0, 1000) == TA_FRAME_KEPT);
     }
-    CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_KEPT && e.queued == 4);
-    frame.position = 60;
-    CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_FUTURE);
-    frame.position = 10;
-    CHECK(ta_envelope_offer(&e, &frame, 0, 1000) == TA_FRAME_FUTURE);
-    for (uint32_t i = 0; i < 4; i++) {
-        CHECK(e.queue[i].position == 10 * (i + 1));
+    CHECK(offer(&e, 50, 0, 1000) == TA_FRAME_KEPT && e.queued == 4);
+    CHECK(offer(&e, 60, 0, 1000) == TA_FRAME_FUTURE);
+    CHECK(offer(&e, 10, 0, 1000) == TA_FRAME_FUTURE);
+    for (uint32_t n = 0; n < 40; n++) {
+        (void)ta_envelope_next(&e, n, n > 0, &top, 1);
+        CHECK(e.frames[e.order[0]].position == n / 10 * 10 + 10);
+        CHECK(e.queued == 3 - n / 10);
     }
+    CHECK(offer(&e, 70, 39, 1000) == TA_FRAME_KEPT && offer(&e, 60, 39, 1000) == TA_FRAME_KEPT);
+    ta_envelope_stop(&e, 60);
+    CHECK(!e.ramping && e.queued == 1 && e.frames[e.order[1]].position == 70);
+}
+
+/* The code of a body of one sample. */
+static int16_t decoded(const ta_samples *s)
+{
+    int16_t code;
+    ta_samples_row(s, 0, &code);
+    return code;
 }
 
 static int16_t through(int16_t code, uint8_t format)
@@ -261,7 +303,7 @@ static int16_t through(int16_t code, uint8_t format)
     s.samples = 1;
     s.data = data;
     ta_samples_encode(&code, format, 1, 1, data);
-    return ta_samples_get(&s, 0, 0);
+    return decoded(&s);
 }
 
 /* Every code through every format is as near as the format can be; the edges of section 9. */
@@ -278,10 +320,10 @@ static void test_samples(void)
         CHECK(abs(c) > 127 || through(c, TP_SAMPLE_FORMAT_BFP8) == c);
     }
     tp_put_le(pair, 0x8000, 2);
-    CHECK(ta_samples_get(&s, 0, 0) == -32767);
+    CHECK(decoded(&s) == -32767);
     s.format = TP_SAMPLE_FORMAT_PCM12;
     tp_put_le(pair, 0x800, 2);
-    CHECK(ta_samples_get(&s, 0, 0) == -2047 * 16);
+    CHECK(decoded(&s) == -2047 * 16);
     ta_samples_encode(two, TP_SAMPLE_FORMAT_PCM12, 2, 1, pair); /* 001 and FFF */
     CHECK(pair[0] == 0x01 && pair[1] == 0xF0 && pair[2] == 0xFF);
 }
@@ -292,10 +334,10 @@ static void test_bfp8(void)
     int16_t codes[33] = {0};
     uint8_t out[35];
     ta_samples s = {TP_SAMPLE_FORMAT_BFP8, 1, 1, data};
-    CHECK(ta_samples_get(&s, 0, 0) == -32767); /* -128 x 256, clamped */
+    CHECK(decoded(&s) == -32767); /* -128 x 256, clamped */
     data[0] = 255;                             /* reads as 8 */
     data[1] = 127;
-    CHECK(ta_samples_get(&s, 0, 0) == 127 * 256);
+    CHECK(decoded(&s) == 127 * 256);
     CHECK(ta_samples_size(TP_SAMPLE_FORMAT_BFP8, 3, 32) == 99);
     CHECK(ta_samples_size(TP_SAMPLE_FORMAT_BFP8, 3, 33) == 105);
     codes[0] = 128; /* needs exponent 1; the block after it does not */
@@ -335,10 +377,10 @@ static void test_player(void)
     ta_player_start(&p, 100);
     ta_player_pcm(&p, 97, 1, &s);
     ta_player_pcm(&p, 108, 1, &s);
-    CHECK(!p.lines[1].active && p.fill == 0);
+    CHECK(!ta_set_has(&p.active, 1) && p.fill == 0);
     CHECK(counters.late_samples == 3 && counters.future_samples == 3);
     ta_player_pcm(&p, 101, 0, &s);
-    CHECK(p.lines[0].active && p.fill == 4);
+    CHECK(ta_set_has(&p.active, 0) && p.fill == 4);
     ta_player_pcm(&p, 100, 0, &s); /* 4000, 4000, -4000, -4000 */
     ta_player_instant(&p, TP_STATE_RUNNING, true);
     CHECK(p.codes[0] == 1000 && p.codes[1] == 0);
@@ -351,7 +393,7 @@ static void test_player(void)
     ta_player_pcm(&p, 109, 0, &s);
     ta_player_start(&p, 7);
     for (size_t i = 0; i < 8; i++) {
-        CHECK(p.buffer[i][0] == TA_NOTHING && p.buffer[i][1] == TA_NOTHING);
+        CHECK(ta_set_empty(&p.present[i]));
     }
 }
 

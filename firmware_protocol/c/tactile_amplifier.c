@@ -480,11 +480,10 @@ static void watch(ta_amplifier *amp, uint64_t tick)
 /* One period on: base + floor(k x tick_hz / rate), by carrying the remainder. */
 static void next_period(ta_amplifier *amp)
 {
-    uint32_t rate = amp->player.rate;
-    amp->next += amp->config.tick_hz / rate;
-    amp->remainder += amp->config.tick_hz % rate;
-    if (amp->remainder >= rate) {
-        amp->remainder -= rate;
+    amp->next += amp->period;
+    amp->remainder += amp->period_rest;
+    if (amp->remainder >= amp->player.rate) {
+        amp->remainder -= amp->player.rate;
         amp->next++;
     }
 }
@@ -500,6 +499,8 @@ void ta_set_rate(ta_amplifier *amp, uint32_t rate, uint64_t now)
 {
     if (amp->player.rate != rate) {
         amp->player.rate = rate;
+        amp->period = amp->config.tick_hz / rate;
+        amp->period_rest = amp->config.tick_hz % rate;
         set_base(amp, now);
     }
     derive(amp);

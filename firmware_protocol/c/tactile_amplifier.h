@@ -68,6 +68,8 @@ typedef struct {
     /* Sample clock, section 7.1: the next instant and the remainder of k x tick_hz / rate. */
     uint64_t next;
     uint32_t remainder;
+    uint32_t period; /* quotient and remainder of tick_hz / rate */
+    uint32_t period_rest;
     bool start_pending;
     uint64_t start_tick;
     uint32_t start_position;

@@ -2,7 +2,8 @@
 #include "tactile_correlator.h"
 
 #define PLACES (TP_LAGS + 1u)
-#define ENERGY_MOST 1023u
+#define CODE_BITS 15u   /* of a correlation in its entry, without the sign */
+#define ENERGY_BITS 10u /* of the energy in its entry */
 
 void ta_correlator_start(ta_correlator *c, uint8_t channels, uint8_t delay)
 {
@@ -19,9 +20,10 @@ void ta_correlator_stop(ta_correlator *c)
 
 bool ta_correlator_played(ta_correlator *c, const int16_t *codes)
 {
-    c->newest = (uint8_t)((c->newest + 1u) % TA_CODES);
+    c->newest = (uint8_t)(c->newest + 1u < TA_CODES ? c->newest + 1u : 0);
     for (size_t i = 0; i < c->channels; i++) {
         c->sums[i].codes[c->newest] = codes[i];
+        c->sums[i].codes[c->newest + TA_CODES] = codes[i];
     }
     if (c->lacking > 0) {
         c->lacking--;
@@ -46,13 +48,19 @@ void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
     }
 }
 
-/* The codes from that of the current on, back through the ring. */
-static void add(ta_correlated *s, size_t place, int32_t current)
+const int16_t *ta_correlator_code(const ta_correlator *c, size_t channel)
 {
-    for (size_t lag = 0; lag < PLACES; lag++) {
-        s->products[lag] += current * (int32_t)s->codes[place];
-        place = place > 0 ? place - 1u : TA_CODES - 1u;
-    }
+    return c->sums[channel].codes + c->newest + TA_CODES - c->delay;
+}
+
+/* Adds a current, and its products with the code it belongs to and those before. */
+static void add(ta_correlated *s, const int16_t *code, int32_t current)
+{
+    int64_t *product = s->products;
+    const int64_t *end = product + PLACES;
+    do {
+        *product++ += current * *code--;
+    } while (product < end);
     s->energy += (uint64_t)(current * current);
     if (current == (int32_t)TP_FULL_SCALE_CODE || current == -(int32_t)TP_FULL_SCALE_CODE) {
         s->flags |= TP_WINDOW_CLIPPED;
@@ -69,37 +77,42 @@ bool ta_correlator_add(ta_correlator *c, const int16_t *currents)
     if (c->left == 0) {
         return false;
     }
-    size_t place = (c->newest + TA_CODES - c->delay) % TA_CODES;
     for (size_t i = 0; i < c->channels; i++) {
-        add(&c->sums[i], place, currents[i] == INT16_MIN ? -INT16_MAX : currents[i]);
+        add(&c->sums[i], ta_correlator_code(c, i), currents[i] == INT16_MIN ? -INT16_MAX : currents[i]);
     }
     c->left--;
     return c->left == 0;
 }
 
-/* The least exponent with which all correlations fit 16 bits. */
-static unsigned exponent_of(const int64_t *sums)
+/* The least exponent with which a value has so many bits, not rounded. */
+static unsigned exponent_for(uint64_t value, unsigned bits)
 {
-    int64_t high = sums[0];
-    int64_t low = sums[0];
     unsigned exponent = 0;
-    for (size_t lag = 1; lag < TP_LAGS; lag++) {
-        high = sums[lag] > high ? sums[lag] : high;
-        low = sums[lag] < low ? sums[lag] : low;
-    }
-    while (ta_rounded(high, exponent) > INT16_MAX || ta_rounded(low, exponent) < -INT16_MAX) {
+    for (; value >> bits != 0; value >>= 1) {
         exponent++;
     }
     return exponent;
 }
 
+/* The least exponent with which all correlations fit 16 bits. Rounding may need one more than their bits say. */
+static unsigned exponent_of(const int64_t *sums)
+{
+    int64_t high = sums[0];
+    int64_t low = sums[0];
+    for (size_t lag = 1; lag < TP_LAGS; lag++) {
+        high = sums[lag] > high ? sums[lag] : high;
+        low = sums[lag] < low ? sums[lag] : low;
+    }
+    unsigned exponent = exponent_for((uint64_t)(high > -low ? high : -low), CODE_BITS);
+    bool fits = ta_rounded(high, exponent) <= INT16_MAX && ta_rounded(low, exponent) >= -INT16_MAX;
+    return fits ? exponent : exponent + 1u;
+}
+
 static uint32_t energy_code(uint64_t energy)
 {
-    unsigned exponent = 0;
-    while (ta_rounded((int64_t)energy, exponent) > (int64_t)ENERGY_MOST) {
-        exponent++;
-    }
-    return exponent << 10 | (uint32_t)ta_rounded((int64_t)energy, exponent);
+    unsigned exponent = exponent_for(energy, ENERGY_BITS);
+    exponent += (uint64_t)ta_rounded((int64_t)energy, exponent) >> ENERGY_BITS != 0 ? 1u : 0u;
+    return exponent << ENERGY_BITS | (uint32_t)ta_rounded((int64_t)energy, exponent);
 }
 
 void ta_correlator_entry(const ta_correlator *c, size_t channel, uint8_t *out)

@@ -14,7 +14,7 @@
 typedef struct {
     uint64_t energy;
     int64_t products[TP_LAGS + 1]; /* of the current with the code 0 ... TP_LAGS instants before */
-    int16_t codes[TA_CODES];       /* ring of the codes that were put out last */
+    int16_t codes[2 * TA_CODES];   /* ring of the codes that were put out last, twice: no reading wraps */
     uint8_t flags;                 /* of its entry */
 } ta_correlated;
 
@@ -38,6 +38,9 @@ void ta_correlator_stop(ta_correlator *c);
 /* Adds the codes that were put out at an instant of RUNNING; returns whether the current that is known
  * now is of an instant after START. */
 bool ta_correlator_played(ta_correlator *c, const int16_t *codes);
+
+/* Returns the code of a channel that the current belongs to that is known now; older ones are before it. */
+const int16_t *ta_correlator_code(const ta_correlator *c, size_t channel);
 
 /* Begins a window of `samples` if none is under way, with the instant whose current is known when
  * `position` has been put out. */

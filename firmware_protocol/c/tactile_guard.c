@@ -79,9 +79,9 @@ static bool watches(const ta_guarded *u)
     return u->entry.armed && u->reason == TP_GUARD_REASON_NONE;
 }
 
-/* A block begins, with an entry that has come during the last one. Returns whether that releases the
- * channel. */
-static bool begin(ta_guarded *u)
+/* A block begins, at a place of the ring, with an entry that has come during the last one. Returns whether that
+ * releases the channel. */
+static bool begin(ta_guarded *u, size_t block)
 {
     uint8_t before = u->reason;
     if (u->waits) {
@@ -93,73 +93,62 @@ static bool begin(ta_guarded *u)
         u->entry = u->pending;
         u->waits = false;
     }
-    memset(&u->sums, 0, sizeof u->sums);
+    u->residual = 0;
+    u->squares = 0;
+    u->blocks[block].product = 0;
+    u->blocks[block].change = 0;
     return u->reason != before;
 }
 
-static int32_t code(int64_t value)
+static int32_t code_of(int64_t value)
 {
     return (int32_t)(value > INT16_MAX ? INT16_MAX : value < -INT16_MAX ? -INT16_MAX : value);
 }
 
-/* Adds an instant; `place` is that of the code of the current in the ring of codes. */
-static void accumulate(ta_guarded *u, const int16_t *codes, size_t place)
+/* Adds an instant to a block; `code` is that of the current, with the older ones before it. */
+static void accumulate(ta_guarded *u, ta_guard_sums *sums, const int16_t *code)
 {
     const ta_guard_entry *e = &u->entry;
+    const int16_t *drive = e->drive;
+    const int16_t *taken = e->change;
+    const int16_t *end = drive + TP_GUARD_TAPS;
     int64_t expected = 0;
     int64_t change = 0;
-    for (size_t lag = 0; lag < TP_GUARD_TAPS; lag++) {
-        size_t before = place > 0 ? place - 1u : TA_CODES - 1u;
-        int32_t step = (int32_t)codes[place] - codes[before];
-        expected += (int64_t)step * e->drive[lag];
-        change += (int64_t)step * e->change[lag];
-        place = before;
-    }
+    do {
+        int32_t step = code[0] - code[-1];
+        expected += (int64_t)step * *drive++;
+        change += (int64_t)step * *taken++;
+        code--;
+    } while (drive < end);
     int32_t current = u->currents[OLDER - 1u];
     int64_t now = (int64_t)current * (1 << POLE_BITS);
     now += (int32_t)u->currents[OLDER] * e->poles[0];
     now += (int32_t)u->currents[OLDER + 1u] * e->poles[1];
-    int32_t residual = code(ta_rounded(now, POLE_BITS) - ta_rounded(expected, e->drive_shift));
-    int32_t gone = code(ta_rounded(change, e->change_shift));
-    u->sums.residual += residual * residual;
-    u->sums.current += current * current;
-    u->sums.product += residual * gone;
-    u->sums.change += gone * gone;
-}
-
-static void add_sums(ta_guard_sums *to, const ta_guard_sums *more)
-{
-    to->residual += more->residual;
-    to->current += more->current;
-    to->product += more->product;
-    to->change += more->change;
-}
-
-/* The sums of all blocks that are kept. */
-static ta_guard_sums latest(const ta_guarded *u)
-{
-    ta_guard_sums all = {0, 0, 0, 0};
-    for (size_t i = 0; i < TP_GUARD_BLOCKS; i++) {
-        add_sums(&all, &u->blocks[i]);
-    }
-    return all;
+    int32_t residual = code_of(ta_rounded(now, POLE_BITS) - ta_rounded(expected, e->drive_shift));
+    int32_t gone = code_of(ta_rounded(change, e->change_shift));
+    u->residual += residual * residual;
+    u->squares += current * current;
+    sums->product += residual * gone;
+    sums->change += gone * gone;
 }
 
 /* The decision at the end of a block, section 17.3. */
 static uint8_t judge(ta_guarded *u)
 {
     const ta_guard_entry *e = &u->entry;
-    memmove(u->blocks + 1, u->blocks, sizeof u->blocks - sizeof u->blocks[0]);
-    u->blocks[0] = u->sums;
+    ta_guard_sums all = {0, 0};
+    for (size_t i = 0; i < TP_GUARD_BLOCKS; i++) {
+        all.product += u->blocks[i].product;
+        all.change += u->blocks[i].change;
+    }
     u->complete = (uint8_t)(u->complete < TP_GUARD_BLOCKS ? u->complete + 1u : TP_GUARD_BLOCKS);
-    ta_guard_sums all = latest(u);
     int64_t allowed = (int64_t)TP_GUARD_BLOCK * e->limit * e->limit;
-    allowed += ta_shift_right(e->share * u->sums.current, 16);
+    allowed += ta_shift_right(e->share * u->squares, 16);
     bool lost = u->complete >= TP_GUARD_BLOCKS && 5 * all.product > 3 * all.change &&
                 all.product > (int64_t)e->floor;
     bool sure = lost && u->doubted;
     u->doubted = lost;
-    if (u->sums.residual > allowed) {
+    if (u->residual > allowed) {
         return TP_GUARD_REASON_RESIDUAL;
     }
     return sure ? TP_GUARD_REASON_LOST : TP_GUARD_REASON_NONE;
@@ -167,29 +156,32 @@ static uint8_t judge(ta_guarded *u)
 
 static void remember(ta_guarded *u, int16_t current)
 {
-    memmove(u->currents + 1, u->currents, sizeof u->currents - sizeof u->currents[0]);
+    for (size_t i = TA_GUARD_PAST - 1u; i > 0; i--) {
+        u->currents[i] = u->currents[i - 1u];
+    }
     u->currents[0] = current == INT16_MIN ? -INT16_MAX : current;
 }
 
 bool ta_guard_add(ta_guard *g, const ta_correlator *c, const int16_t *currents)
 {
-    size_t place = (c->newest + TA_CODES - c->delay) % TA_CODES;
     bool over = g->left == 1;
+    size_t next = g->block + 1u < TP_GUARD_BLOCKS ? g->block + 1u : 0;
     bool changed = false;
     for (size_t i = 0; i < g->channels; i++) {
         ta_guarded *u = &g->guards[i];
         if (watches(u)) {
-            accumulate(u, c->sums[i].codes, place);
+            accumulate(u, &u->blocks[g->block], ta_correlator_code(c, i));
             u->reason = over ? judge(u) : u->reason;
             changed = changed || u->reason != TP_GUARD_REASON_NONE;
         } else if (over) {
             u->complete = 0;
         }
         remember(u, currents[i]);
-        if (over && begin(u)) {
+        if (over && begin(u, next)) {
             changed = true;
         }
     }
+    g->block = (uint8_t)(over ? next : g->block);
     g->left = (uint8_t)(over ? TP_GUARD_BLOCK : g->left - 1u);
     g->moves = g->moves || changed;
     return changed;

@@ -13,12 +13,10 @@
 #define TA_GUARD_SHIFT_MOST 31u
 #define TA_GUARD_PAST 4u      /* earlier currents that a residual takes */
 
-/* Sums of a block, or of several. */
+/* Sums of a block, or of several, that tell a lost contact. */
 typedef struct {
-    int64_t residual; /* of squares of the residual */
-    int64_t current;  /* of squares of the current */
-    int64_t product;  /* of residual times the change that a lost contact would make */
-    int64_t change;   /* of squares of that change */
+    int64_t product; /* of residual times the change that a lost contact would make */
+    int64_t change;  /* of squares of that change */
 } ta_guard_sums;
 
 typedef struct {
@@ -42,13 +40,15 @@ typedef struct {
     uint8_t reason;   /* for which it has tripped, as in GUARDED */
     uint8_t complete; /* blocks since it was armed, at most TP_GUARD_BLOCKS */
     int16_t currents[TA_GUARD_PAST]; /* that were known before, the latest first */
-    ta_guard_sums sums;
-    ta_guard_sums blocks[TP_GUARD_BLOCKS]; /* the latest first */
+    int64_t residual; /* sums over the block under way, of squares of the residual */
+    int64_t squares;  /* and of the current */
+    ta_guard_sums blocks[TP_GUARD_BLOCKS]; /* ring; that of the block under way is at `block` */
 } ta_guarded;
 
 typedef struct {
     uint8_t channels;
-    uint8_t left; /* instants until the block is over */
+    uint8_t left;  /* instants until the block is over */
+    uint8_t block; /* place of the block under way */
     bool moves;   /* a gain is below TA_GAIN_FULL, or will be at the next instant */
     int32_t fall; /* of a gain per instant */
     int32_t rise;

@@ -292,32 +292,43 @@ static void next_samples(ta_player *p)
     }
 }
 
-/* The values at this position, where the carriers have these turns (10.1). Envelopes go on in PLAYING, and
- * still do so at the instant of an underrun; from there on they stay until the gain is 0, and then are 0. */
+/* The value of an active channel at this position, where the carriers have these turns (10.1). Envelopes go on in
+ * PLAYING, and still do so at the instant of an underrun. */
+static int16_t spectrum_value(ta_player *p, ta_envelope *e, const ta_phasor *turns)
+{
+    if (p->phase == TP_PHASE_PLAYING || p->starving) {
+        return ta_envelope_next(e, p->position, p->moved, turns, p->carriers);
+    }
+    return ta_envelope_value(e, turns, p->carriers);
+}
+
 static void next_spectrum(ta_player *p)
 {
     ta_phasor turns[TA_CARRIERS];
-    const size_t channels = p->channels;
     const size_t carriers = p->carriers;
-    const bool plays = p->phase == TP_PHASE_PLAYING;
-    const bool goes_on = plays || p->starving;
-    const bool ends = !plays && p->gain == 0;
     for (size_t k = 0; k < carriers; k++) {
         turns[k] = ta_turn(p->increments[k] * p->position);
     }
-    for (size_t c = 0; c < channels; c++) {
-        ta_envelope *e = &p->kept.envelopes[c];
-        if (goes_on && ta_set_has(&p->active, c)) {
-            p->values[c] = ta_envelope_next(e, p->position, p->moved, turns, p->carriers);
-        } else if (ta_set_has(&p->active, c)) {
-            p->values[c] = ta_envelope_value(e, turns, p->carriers);
-        }
-        if (ends) {
-            ta_envelope_silence(e);
+    for (size_t w = 0; w < TA_WORDS; w++) {
+        size_t c = 32u * w;
+        for (uint32_t bits = p->active.words[w]; bits != 0; bits >>= 1, c++) {
+            if ((bits & 1u) != 0) {
+                p->values[c] = spectrum_value(p, &p->kept.envelopes[c], turns);
+            }
         }
     }
+}
+
+/* From an underrun on envelopes stay as they are, until the gain is 0 and they are 0. */
+static void end_envelopes(ta_player *p)
+{
     if (p->starving) {
         stop_envelopes(p);
+    }
+    if (p->phase != TP_PHASE_PLAYING && p->gain == 0) {
+        for (size_t c = 0; c < p->channels; c++) {
+            ta_envelope_silence(&p->kept.envelopes[c]);
+        }
     }
 }
 
@@ -336,6 +347,7 @@ static void play(ta_player *p, uint8_t state, bool come)
     move_gain(p, state);
     if (p->mode == TP_MODE_SPECTRUM) {
         next_spectrum(p);
+        end_envelopes(p);
     } else if (p->phase == TP_PHASE_PLAYING) {
         next_samples(p);
     }

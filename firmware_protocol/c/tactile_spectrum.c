@@ -85,19 +85,26 @@ static ta_phasor steps_on(uint32_t k)
 /* The same between two steps; rounding is not symmetric, so that the sign comes before it. */
 ta_phasor ta_turn(uint32_t angle)
 {
-    uint32_t k = angle >> 22;
-    int32_t r = (int32_t)((angle >> 6) & 0xFFFFu);
-    const int16_t *up = quarter + (k & 255u);
-    const int16_t *down = quarter + 256u - (k & 255u);
-    int32_t rising[2] = {up[0], up[1]};
-    int32_t falling[2] = {down[0], down[-1]};
-    const int32_t *sine = (k & 256u) != 0 ? falling : rising;
-    const int32_t *cosine = (k & 256u) != 0 ? rising : falling;
-    int32_t above = (k & 512u) != 0 ? -1 : 1;
-    int32_t right = ((k + 256u) & 512u) != 0 ? -1 : 1;
+    const int16_t *up = quarter + (angle >> 22 & 255u);
+    const int16_t *down = quarter + 256u - (angle >> 22 & 255u);
+    int32_t r = (int32_t)(angle >> 6 & 0xFFFFu);
+    int32_t sine[2] = {up[0], up[1]};
+    int32_t cosine[2] = {down[0], down[-1]};
+    if ((angle & 1u << 30) != 0) {
+        sine[0] = down[0];
+        sine[1] = down[-1];
+        cosine[0] = -up[0];
+        cosine[1] = -up[1];
+    }
+    if ((angle & 1u << 31) != 0) {
+        sine[0] = -sine[0];
+        sine[1] = -sine[1];
+        cosine[0] = -cosine[0];
+        cosine[1] = -cosine[1];
+    }
     ta_phasor p;
-    p.i = between(right * cosine[0], right * cosine[1], r);
-    p.q = -between(above * sine[0], above * sine[1], r);
+    p.i = between(cosine[0], cosine[1], r);
+    p.q = -between(sine[0], sine[1], r);
     return p;
 }
 

@@ -15,6 +15,7 @@ from benchmarks.cluster import measure_dask, measure_million
 from benchmarks.coupling import measure_couplings
 from benchmarks.faults import measure_faults
 from benchmarks.finger import measure_finger
+from benchmarks.firmware import measure_firmware
 from benchmarks.fit import measure_fit
 from benchmarks.friction import measure_friction
 from benchmarks.fuzz import measure_fuzz
@@ -55,6 +56,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "protocol": measure_protocol,
     "faults": measure_faults,
     "budgets": measure_budgets,
+    "firmware": measure_firmware,
     "links": links.measure_links,
     "fit": measure_fit,
     "finger": measure_finger,

@@ -25,6 +25,7 @@ from hypothesis.stateful import (
 from protocol_judge import SPEC, STATES, TABLE
 from protocol_story import Story, told
 from protocol_traces import CONFIGS, Rig, loaded, play, replay, saved
+from repeating import LONG
 
 NAMES = list(CONFIGS)
 CHANCE = st.integers(0, 1 << 20).map(Random)
@@ -171,8 +172,9 @@ def test_the_amplifier_in_c_does_the_same(
 def test_the_amplifier_in_c_does_the_same_for_long(
     name: str, virtual_amplifier: Path, tmp_path: Path
 ) -> None:
-    """40 stories of two seconds for each amplifier: 200."""
-    for seed in range(2000, 2040):
+    """40 stories of two seconds for each amplifier; with ``TACTILE_LONG=1`` 10 000 in all."""
+    stories = 10_000 // len(NAMES) + 1 if LONG else 40
+    for seed in range(2000, 2000 + stories):
         assert_same(told(CONFIGS[name], seed, 2.0, judged=False), virtual_amplifier, tmp_path)
 
 

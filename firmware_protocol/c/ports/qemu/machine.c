@@ -1,0 +1,108 @@
+/* A Cortex-M of QEMU (mps2-an386 and mps2-an385) at power-up: vectors, memory, counter, semihosting. */
+#include "machine.h"
+
+#include <string.h>
+
+#define TIMER_VALUE (*(volatile uint32_t *)0x40000004u) /* CMSDK timer 0, which counts down */
+#define TIMER_RELOAD (*(volatile uint32_t *)0x40000008u)
+#define TIMER_CONTROL (*(volatile uint32_t *)0x40000000u)
+#define PAINT 0xDEADBEEFu
+
+/* Semihosting (Arm, "Semihosting for AArch32 and AArch64"). */
+#define SYS_WRITE0 4u
+#define SYS_EXIT_EXTENDED 0x20u
+#define STOPPED_RUN_TIME_ERROR 0x20023u
+#define STOPPED_APPLICATION_EXIT 0x20026u
+
+extern uint32_t data_load, data_begin, data_end, bss_begin, bss_end, stack_top;
+
+int main(void);
+void reset(void);
+
+static void semihost(uint32_t operation, const void *argument)
+{
+    register uint32_t r0 __asm__("r0") = operation;
+    register const void *r1 __asm__("r1") = argument;
+    __asm__ volatile("bkpt 0xab" : "+r"(r0) : "r"(r1) : "memory");
+}
+
+void machine_exit(bool good)
+{
+    uint32_t block[2] = {STOPPED_APPLICATION_EXIT, good ? 0u : 1u};
+    semihost(SYS_EXIT_EXTENDED, block);
+    for (;;) {
+    }
+}
+
+static void fault(void)
+{
+    machine_print("fault of the processor\n");
+    machine_exit(false);
+}
+
+/* The stack is painted from the end of the variables up to where it is in use already. */
+static void paint_stack(void)
+{
+    uint32_t *top;
+    __asm__ volatile("mov %0, sp" : "=r"(top));
+    for (uint32_t *word = &bss_end; word < top; word++) {
+        *word = PAINT;
+    }
+}
+
+void reset(void)
+{
+    memcpy(&data_begin, &data_load, (size_t)((char *)&data_end - (char *)&data_begin));
+    memset(&bss_begin, 0, (size_t)((char *)&bss_end - (char *)&bss_begin));
+    paint_stack();
+    machine_exit(main() == 0);
+}
+
+/* Table of vectors of ARMv6-M and ARMv7-M: the stack, then the handlers of reset, of faults and of the
+ * system, none of which is called by what runs here. */
+static const struct {
+    uint32_t *stack;
+    void (*handlers[15])(void);
+} vectors __attribute__((section(".vectors"), used)) = {
+    &stack_top,
+    {reset, fault, fault, fault, fault, fault, NULL, NULL, NULL, NULL, fault, NULL, NULL, fault, fault},
+};
+
+void machine_begin(void)
+{
+    TIMER_RELOAD = UINT32_MAX;
+    TIMER_VALUE = UINT32_MAX;
+    TIMER_CONTROL = 1;
+}
+
+uint32_t machine_instructions(void)
+{
+    uint64_t periods = UINT32_MAX - TIMER_VALUE;
+    return (uint32_t)((periods * 40u + 32u) / 64u);
+}
+
+uint32_t machine_stack(void)
+{
+    const uint32_t *word = &bss_end;
+    while (word < &stack_top && *word == PAINT) {
+        word++;
+    }
+    return (uint32_t)((const char *)&stack_top - (const char *)word);
+}
+
+void machine_print(const char *text)
+{
+    semihost(SYS_WRITE0, text);
+}
+
+void machine_print_number(uint32_t value)
+{
+    char digits[11];
+    char *digit = digits + sizeof digits - 1;
+    *digit = '\0';
+    do {
+        *--digit = (char)('0' + value % 10u);
+        value /= 10u;
+    } while (value > 0);
+    machine_print(digit);
+}

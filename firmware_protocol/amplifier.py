@@ -167,13 +167,7 @@ class ReferenceAmplifier(Machine):
             if self._correlates:
                 self._settings[Parameter.CORRELATION_MS] = 0
             self._pulsed = self._last_alive = None
-        c = self.config
-        return m.Caps(
-            self.session, MAJOR, m.MINOR, m.SCHEMA_CRC, c.channels, c.carriers, c.formats,
-            self._features, c.packet_limit, c.fifo, c.tick_hz,
-            c.rate_min_hz, c.rate_max_hz, c.full_scale_uv, c.voltage_limit_uv,
-            c.slew_limit_v_per_s, c.fade_limit_us, c.firmware, c.name.encode(),
-        )  # fmt: skip
+        return self.config.caps(self.session, self._features)
 
     @property
     def _features(self) -> int:

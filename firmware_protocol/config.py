@@ -3,7 +3,16 @@
 from dataclasses import dataclass
 from typing import Self
 
-from firmware_protocol.messages import FADE_MS, FULL_SCALE_CODE, Limits, SampleFormat
+from firmware_protocol.messages import (
+    FADE_MS,
+    FULL_SCALE_CODE,
+    MAJOR,
+    MINOR,
+    SCHEMA_CRC,
+    Caps,
+    Limits,
+    SampleFormat,
+)
 
 LARGEST_STEP = 2 * FULL_SCALE_CODE
 """Largest change between two sample codes."""
@@ -70,6 +79,28 @@ class AmplifierConfig:
     estop_input: bool = True
     sense_ranges_ua: tuple[int, ...] = ()
     current_delay: int = 0
+
+    def caps(self, session: int, features: int) -> Caps:
+        """Return what the amplifier tells of itself.
+
+        Parameters
+        ----------
+        session : int
+            Token of the host that holds it, 0 for none.
+        features : int
+            Bits of `Feature`.
+
+        Returns
+        -------
+        Caps
+            Answer to HELLO.
+        """
+        return Caps(
+            session, MAJOR, MINOR, SCHEMA_CRC, self.channels, self.carriers, self.formats,
+            features, self.packet_limit, self.fifo, self.tick_hz, self.rate_min_hz,
+            self.rate_max_hz, self.full_scale_uv, self.voltage_limit_uv, self.slew_limit_v_per_s,
+            self.fade_limit_us, self.firmware, self.name.encode(),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

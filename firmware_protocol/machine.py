@@ -12,15 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
+from firmware_protocol.capabilities import config_fault
 from firmware_protocol.config import AmplifierConfig, LimitsInForce
 from firmware_protocol.correlation import Correlator, Sensor, messages_of, window_samples
 from firmware_protocol.messages import (
-    FADE_MS,
     INPUT_CLOSED_MS,
     REFUSED,
     STAYS,
     TABLE,
-    UNGUARDED_MOST_UV,
     EstopReason,
     Fault,
     LogLevel,
@@ -119,11 +118,12 @@ class Machine:
     Raises
     ------
     ValueError
-        If the limits of the hardware do not reach 0 V in 20 ms, or if the amplifier can put out
-        more than 60 V and has no e-stop input.
+        If SPEC.md does not allow the configuration, with the first field that it does not.
     """
 
     def __init__(self, config: AmplifierConfig, sensor: Sensor | None = None) -> None:
+        if fault := config_fault(config):
+            raise ValueError(fault)
         self.config, self.node = config, config.node
         self.state, self.session, self.high_voltage = State.IDLE, 0, False
         self.counters = AmplifierCounters()
@@ -149,18 +149,7 @@ class Machine:
         self._played: list[PlayedRun] = []
         self._now = 0
         self._player = SamplePlayer(self._source())
-        own = LimitsInForce.of(config)
-        if not (own.in_time(config.rate_min_hz) and own.in_time(config.rate_max_hz)):
-            raise ValueError(
-                f"slew_limit_v_per_s {config.slew_limit_v_per_s}: does not reach 0 V from "
-                f"{config.voltage_limit_uv} µV in {FADE_MS} ms"
-            )
-        if config.full_scale_uv > UNGUARDED_MOST_UV and not config.estop_input:
-            raise ValueError(
-                f"estop_input False: full_scale_uv {config.full_scale_uv} is above "
-                f"{UNGUARDED_MOST_UV}, where an e-stop input is mandatory (SPEC.md, 6.3)"
-            )
-        self._limit(own)
+        self._limit(LimitsInForce.of(config))
 
     def _attach(self, sensor: Sensor | None) -> None:
         """Take the sensor, and the parameters that come with it."""

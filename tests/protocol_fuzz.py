@@ -35,8 +35,9 @@ CONFIG = AmplifierConfig(
     channels=3,
     carriers=4,
     packet_limit=512,
-    fifo=256,
+    fifo=1024,
     full_scale_uv=90_000_000,
+    voltage_limit_uv=90_000_000,
     sense_ranges_ua=(2500, 300),
 )
 LARGEST_STEP = LimitsInForce.of(CONFIG).step(CONFIG.rate_min_hz)

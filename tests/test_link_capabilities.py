@@ -104,8 +104,8 @@ def test_a_field_at_either_bound_is_allowed_and_one_beyond_is_named(field: str) 
         ({"fade_limit_us": 20_001}, "fade_limit_us 20001, which must be 0 … 20000"),
         (
             {"slew_limit_v_per_s": 5000},
-            "slew_limit_v_per_s 5000, which must be 5006 … 100000000, to 0 V from "
-            "voltage_limit_uv 100000000 in 20 ms at 2500 Hz",
+            "slew_limit_v_per_s 5000, which must be 5104 … 100000000, to 0 V from "
+            "voltage_limit_uv 100000000 in 20 ms at 2549 Hz",
         ),
     ],
 )

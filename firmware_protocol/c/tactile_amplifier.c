@@ -3,36 +3,12 @@
 
 #define POWER_UP_RATE 8000u
 #define POWER_UP_PULSE_MS 10u
-#define RATE_MAX 1000000u  /* up to here all products fit their types */
-#define SLEW_MAX 100000000u
 
 static const uint8_t on_watchdog[] = TP_TABLE_WATCHDOG;
 static const uint8_t on_fault[] = TP_TABLE_FAULT;
 static const uint8_t on_estop_input[] = TP_TABLE_ESTOP_INPUT;
 
 /* Power-up */
-
-/* The hardware's own limits; ARM checks them at the rates between. */
-static bool limits_allowed(const ta_config *c)
-{
-    return c->full_scale_uv > 0 && c->slew_limit_v_per_s <= SLEW_MAX &&
-           c->fade_limit_us <= 1000u * TP_FADE_MS &&
-           ta_reach_zero(c, c->voltage_limit_uv, c->slew_limit_v_per_s, c->rate_min_hz) &&
-           ta_reach_zero(c, c->voltage_limit_uv, c->slew_limit_v_per_s, c->rate_max_hz);
-}
-
-/* Sections 6.3 and 11.1, and the sizes that the arrays have. */
-static bool allowed(const ta_config *c, const ta_hal *hal)
-{
-    bool guarded = hal->estop_open != NULL || c->full_scale_uv <= TP_UNGUARDED_MOST_UV;
-    bool ranged = hal->currents == NULL || c->sense_range_ua > 0;
-    bool kept = c->current_delay < TA_CURRENT_DELAY + 1u;
-    return guarded && ranged && kept && c->node >= 1 && c->node <= 127 && c->channels >= 1 && c->channels <= TA_CHANNELS &&
-           c->carriers <= TA_CARRIERS && c->fifo_samples >= 2 && c->fifo_samples <= TA_FIFO &&
-           c->packet_limit >= TA_PACKET_LEAST && c->packet_limit <= TA_PACKET_MAX &&
-           c->tick_hz > 0 && c->rate_min_hz > 0 && c->rate_min_hz <= c->rate_max_hz &&
-           c->rate_max_hz <= RATE_MAX && limits_allowed(c);
-}
 
 static uint32_t power_up_rate(const ta_config *c)
 {
@@ -46,7 +22,7 @@ static void read_input(ta_amplifier *amp, uint64_t now);
 
 bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal)
 {
-    if (!allowed(config, hal)) {
+    if (ta_config_fault(config, hal, NULL) != NULL) {
         return false;
     }
     memset(amp, 0, sizeof *amp);
@@ -67,7 +43,7 @@ bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal)
 
 /* Limits, section 11.1 */
 
-static int32_t limit_codes(const ta_config *c, uint32_t voltage_uv)
+int32_t ta_limit_codes(const ta_config *c, uint32_t voltage_uv)
 {
     uint64_t limit = (uint64_t)voltage_uv * TP_FULL_SCALE_CODE / c->full_scale_uv;
     return (int32_t)(limit < TP_FULL_SCALE_CODE ? limit : TP_FULL_SCALE_CODE);
@@ -83,7 +59,7 @@ static int32_t step_codes(const ta_config *c, uint32_t slew_v_per_s, uint32_t ra
 bool ta_reach_zero(const ta_config *c, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t rate)
 {
     int64_t reach = (int64_t)step_codes(c, slew_v_per_s, rate) * (int64_t)(rate / 50u);
-    return limit_codes(c, voltage_uv) <= reach;
+    return ta_limit_codes(c, voltage_uv) <= reach;
 }
 
 /* Derives the player's numbers from limits and rate. */
@@ -91,7 +67,7 @@ static void derive(ta_amplifier *amp)
 {
     ta_player *p = &amp->player;
     uint64_t gain = ((uint64_t)amp->fade_us * p->rate + 500000u) / 1000000u;
-    p->limit = limit_codes(&amp->config, amp->voltage_uv);
+    p->limit = ta_limit_codes(&amp->config, amp->voltage_uv);
     p->step = step_codes(&amp->config, amp->slew_v_per_s, p->rate);
     p->gain_full = gain > 0 ? (uint32_t)gain : 1u;
 }

@@ -16,15 +16,15 @@
 typedef struct {
     uint8_t node;     /* 1 ... 127 */
     uint8_t channels; /* at most TA_CHANNELS */
-    uint8_t carriers; /* at most TA_CARRIERS; 0: no spectrum frames */
+    uint8_t carriers; /* at most TA_CARRIERS; 0: no spectrum frames, and bit 3 of formats is 0 */
     bool holds;       /* holds each sample instead of interpolating */
     uint16_t formats; /* bit f is set for sample format f */
     uint16_t packet_limit;
-    uint16_t fifo_samples; /* at most TA_FIFO */
+    uint16_t fifo_samples; /* at most TA_FIFO, and 64 ms at rate_max_hz at least */
     uint16_t sense_range_ua; /* of the current at power-up, not 0 where the HAL has `currents` */
     uint8_t current_delay;   /* instants by which its codes are late, at most TA_CURRENT_DELAY */
-    uint32_t tick_hz;
-    uint32_t rate_min_hz;
+    uint32_t tick_hz;     /* 10 x rate_max_hz at least */
+    uint32_t rate_min_hz; /* at least 1 kHz */
     uint32_t rate_max_hz; /* at most 1 MHz */
     uint32_t full_scale_uv;
     uint32_t voltage_limit_uv;
@@ -99,9 +99,21 @@ typedef struct {
 #endif
 } ta_amplifier;
 
-/* Powers up at tick 0. Returns false for a configuration that the arrays have no room for, whose limits
- * section 11.1 forbids, or of more than 60 V without an e-stop input. Other ranges of CAPS (section 4)
- * are not checked. */
+/* A field with a value that SPEC.md does not allow, and what it allows; of a field that is no number,
+ * such as a function or the name, all three are 0. */
+typedef struct {
+    const char *field; /* of ta_config or ta_hal */
+    uint32_t value;
+    uint32_t least;
+    uint32_t most;
+} ta_bounds;
+
+/* Returns the name of the first field that SPEC.md does not allow, or that the arrays have no room for;
+ * NULL for none. `bounds` may be NULL. Of `formats` one of the bits 0 ... 3 is set; for `estop_open` the
+ * bounds are those of full_scale_uv without an e-stop input (6.3). */
+const char *ta_config_fault(const ta_config *config, const ta_hal *hal, ta_bounds *bounds);
+
+/* Powers up at tick 0. Returns false, and does nothing, where ta_config_fault names a field. */
 bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal);
 
 /* Carries out all sample instants up to and including `now`. */

@@ -11,6 +11,9 @@ void ta_apply(ta_amplifier *amp, uint8_t entry);
 /* Puts limits in force, for the player as well. */
 void ta_limit(ta_amplifier *amp, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t fade_us);
 
+/* Returns a voltage in sample codes, at most full scale (11.1). */
+int32_t ta_limit_codes(const ta_config *c, uint32_t voltage_uv);
+
 /* Returns whether limits reach 0 V in 20 ms at a rate (11.1). */
 bool ta_reach_zero(const ta_config *c, uint32_t voltage_uv, uint32_t slew_v_per_s, uint32_t rate);
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
-from firmware_protocol.config import AmplifierConfig, LimitsInForce
+from firmware_protocol.capabilities import config_fault
+from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.correlation import Sensor
 from firmware_protocol.host import BY_HOST, SKIPPED, AmplifierHost, codes_of, pcm, refusal
 from firmware_protocol.machine import PlayedRun
@@ -339,8 +340,8 @@ def config_of(
     Raises
     ------
     InputError
-        If the sample rate is not a whole number of Hz, or an amplifier with this slew limit would
-        not be at 0 V within the 20 ms that the protocol promises.
+        If the sample rate is not a whole number of Hz, an amplifier with this slew limit would not
+        be at 0 V within the 20 ms that the protocol promises, or SPEC.md allows no such amplifier.
     """
     rate = round(wiring.sample_rate)
     if rate != wiring.sample_rate:
@@ -356,10 +357,12 @@ def config_of(
         fade_limit_us=min(max(round(wiring.fade * 1e6), 1), FADE_MS * 1000),
         sense_ranges_ua=sense_ranges_ua,
     )  # fmt: skip
-    limits = LimitsInForce.of(config)
-    if not all(limits.in_time(each) for each in (lowest, rate, highest)):
+    fault = config_fault(config)
+    if fault.startswith("slew_limit_v_per_s"):
         raise InputError(
             f"slew limit {wiring.slew:g} V/s: takes {wiring.voltage / wiring.slew * 1e3:.0f} ms "
             f"from {wiring.voltage:g} V to 0 V, {FADE_MS} ms are promised; lower the voltage limit"
         )
+    if fault:
+        raise InputError(f"{fault}: the protocol allows no such amplifier (SPEC.md, section 4)")
     return config

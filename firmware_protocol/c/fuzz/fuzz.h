@@ -108,7 +108,7 @@ static inline void fuzz_power_up(fuzz_board *b, uint16_t packet_limit)
     config.carriers = 3;
     config.formats = 0x0F;
     config.packet_limit = packet_limit;
-    config.fifo_samples = 100;
+    config.fifo_samples = 1024;
     config.tick_hz = 1000000;
     config.rate_min_hz = 2500;
     config.rate_max_hz = 16000;

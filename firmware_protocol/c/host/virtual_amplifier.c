@@ -228,7 +228,7 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
     hal.currents = options->ranges_ua[0] != 0 ? hal_currents : NULL;
     hal.sense_range = hal_sense_range;
     if (!ta_init(&v->amp, &options->config, &hal)) {
-        fprintf(stderr, "virtual-amplifier: the options contradict section 11.1 or the sizes\n");
+        virtual_explain(&options->config, &hal);
         return false;
     }
     ta_serial_init(&v->serial, &v->amp, put_bytes, v);

@@ -75,6 +75,9 @@ typedef struct {
 /* Options of the command line; false, and a message, where one is wrong. */
 bool virtual_parse(virtual_options *options, int argc, char **argv);
 
+/* Says on stderr which option SPEC.md does not allow, and what it allows. */
+void virtual_explain(const ta_config *config, const ta_hal *hal);
+
 bool virtual_open(virtual_amplifier *v, const virtual_options *options);
 bool virtual_close(virtual_amplifier *v);
 void virtual_run(virtual_amplifier *v, uint64_t tick);

@@ -397,6 +397,20 @@ static void test_player(void)
     }
 }
 
+static bool send_nothing(void *context, const uint8_t *packet, size_t size)
+{
+    (void)context;
+    (void)packet;
+    (void)size;
+    return true;
+}
+
+static void switch_nothing(void *context, bool on)
+{
+    (void)context;
+    (void)on;
+}
+
 /* A contact for a HAL whose context it is. */
 static bool contact_open(void *context)
 {
@@ -431,8 +445,11 @@ static void test_input_is_read_at_instants(void)
     config.voltage_limit_uv = 100000000;
     config.slew_limit_v_per_s = 700000;
     hal.context = &open;
+    hal.send = send_nothing;
     hal.put_out = put_nothing;
+    hal.high_voltage = switch_nothing;
     hal.estop_open = contact_open;
+    config.formats = 1;
     CHECK(ta_init(&amp, &config, &hal));
     ta_run(&amp, 1000);
     open = true;
@@ -451,56 +468,129 @@ static void test_input_is_read_at_instants(void)
     CHECK(amp.state == TP_STATE_ESTOP);
 }
 
-/* What ta_init allows: 20 ms to 0 V in whole codes at the lowest and the highest rate (11.1), and above
- * 60 V an e-stop input, which is read at power-up (6.3). */
+static bool named(const ta_config *c, const ta_hal *hal, const char *field)
+{
+    static ta_amplifier amp;
+    const char *found = ta_config_fault(c, hal, NULL);
+    CHECK(ta_init(&amp, c, hal) == (found == NULL));
+    return found != NULL && strcmp(found, field) == 0;
+}
+
+static void no_currents(void *context, int16_t *codes)
+{
+    (void)context;
+    (void)codes;
+}
+
+static ta_config good_config(void)
+{
+    ta_config good = {0};
+    good.node = 1;
+    good.channels = 1;
+    good.formats = 1;
+    good.packet_limit = 136;
+    good.fifo_samples = 512;
+    good.tick_hz = 1000000;
+    good.rate_min_hz = 2500;
+    good.rate_max_hz = 8000;
+    good.full_scale_uv = 100000000;
+    good.voltage_limit_uv = 100000000;
+    good.slew_limit_v_per_s = 5104; /* 656 codes a sample at 2549 Hz, 50 samples; 655 at 5103 */
+    good.fade_limit_us = 20000;
+    return good;
+}
+
+static ta_hal good_hal(bool *open)
+{
+    ta_hal hal = {0};
+    hal.context = open;
+    hal.send = send_nothing;
+    hal.put_out = put_nothing;
+    hal.high_voltage = switch_nothing;
+    hal.estop_open = contact_open;
+    return hal;
+}
+
+#define REFUSED(field, value)                                                                      \
+    do {                                                                                           \
+        ta_config bad = good_config();                                                             \
+        bad.field = (value);                                                                       \
+        CHECK(named(&bad, &hal, #field));                                                          \
+    } while (0)
+
+/* What ta_config_fault refuses of the numbers of section 4, by hand; tests/test_protocol_config.py tries
+ * thousands against the implementation in Python. */
 static void test_configuration(void)
 {
     static ta_amplifier amp;
     bool open = false;
-    ta_hal hal = {0};
-    ta_config good = {0};
-    hal.context = &open;
-    hal.estop_open = contact_open;
-    good.node = 1;
-    good.channels = 1;
-    good.packet_limit = 136;
-    good.fifo_samples = 512;
-    good.tick_hz = 1000000;
-    good.rate_min_hz = 2500; /* 656 codes a sample, 50 samples */
-    good.rate_max_hz = 8000; /* 205 codes, 160 samples */
-    good.full_scale_uv = 100000000;
-    good.voltage_limit_uv = 100000000;
+    ta_hal hal = good_hal(&open);
+    ta_config good = good_config();
+    ta_bounds bounds;
+    CHECK(ta_config_fault(&good, &hal, &bounds) == NULL && bounds.field == NULL);
+    REFUSED(node, 128);
+    REFUSED(channels, 0);
+    REFUSED(packet_limit, 135);
+    REFUSED(rate_min_hz, 999);
+    REFUSED(rate_min_hz, 8001);
+    REFUSED(rate_max_hz, 1000001);
+    REFUSED(tick_hz, 79999);
+    REFUSED(full_scale_uv, 0);
+    REFUSED(voltage_limit_uv, 0);
+    REFUSED(voltage_limit_uv, 100000001);
+    REFUSED(fade_limit_us, 20001);
+    REFUSED(slew_limit_v_per_s, 5103); /* enough at 2500 and at 8000 Hz */
+    REFUSED(formats, 0xFFF0);
+    good.fifo_samples = 511;
+    CHECK(named(&good, &hal, "fifo_samples"));
+    CHECK(ta_config_fault(&good, &hal, &bounds) != NULL && bounds.value == 511 && bounds.least == 512);
+    good = good_config();
+    good.rate_max_hz = good.rate_min_hz; /* it plays one rate */
     good.slew_limit_v_per_s = 5006;
-    good.fade_limit_us = 20000;
-    CHECK(ta_init(&amp, &good, &hal));
-    ta_config bad = good;
-    bad.packet_limit = 135;
-    CHECK(!ta_init(&amp, &bad, &hal));
-    bad = good;
-    bad.fade_limit_us = 20001;
-    CHECK(!ta_init(&amp, &bad, &hal));
-    bad = good;
-    bad.slew_limit_v_per_s = 5003; /* 655 at 2500 Hz */
-    CHECK(!ta_init(&amp, &bad, &hal));
-    bad = good;
-    bad.rate_max_hz = 16000; /* 102 codes, 320 samples */
-    CHECK(!ta_init(&amp, &bad, &hal));
-    bad = good;
-    bad.rate_max_hz = bad.rate_min_hz; /* it plays one rate */
-    CHECK(ta_init(&amp, &bad, &hal));
-    bad.rate_max_hz = bad.rate_min_hz - 1;
-    CHECK(!ta_init(&amp, &bad, &hal));
     CHECK(ta_init(&amp, &good, &hal) && amp.state == TP_STATE_IDLE && amp.counters.trips == 0);
     open = true;
     CHECK(ta_init(&amp, &good, &hal) && amp.state == TP_STATE_ESTOP && amp.counters.trips == 1);
     CHECK(amp.estop_reason == TP_ESTOP_REASON_INPUT && !amp.high_voltage);
+}
+
+/* The rules that are more than a range: functions of the board, 6.3, 10, 16 and the name. */
+static void test_configuration_of_the_board(void)
+{
+    bool open = false;
+    ta_hal hal = good_hal(&open);
+    ta_config good = good_config();
     hal.estop_open = NULL;
-    CHECK(!ta_init(&amp, &good, &hal));
     good.full_scale_uv = 60000001;
     good.voltage_limit_uv = 1000000; /* it is the full scale that counts */
-    CHECK(!ta_init(&amp, &good, &hal));
+    CHECK(named(&good, &hal, "estop_open"));
     good.full_scale_uv = 60000000;
-    CHECK(ta_init(&amp, &good, &hal));
+    CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
+    hal.currents = no_currents;
+    CHECK(named(&good, &hal, "sense_range_ua"));
+    good.sense_range_ua = 1;
+    CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
+    good.formats = 8;
+    CHECK(named(&good, &hal, "carriers"));
+    good.carriers = 1;
+    CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
+    memcpy(good.name, "a\xC3\xA4", 4);
+    CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
+    good.name[15] = 'b';
+    CHECK(named(&good, &hal, "name"));
+    memset(good.name, 'c', sizeof good.name);
+    CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
+    good.name[15] = (char)0xC3;
+    CHECK(named(&good, &hal, "name"));
+    good = good_config();
+    hal = good_hal(&open);
+    hal.send = NULL;
+    CHECK(named(&good, &hal, "send"));
+    hal = good_hal(&open);
+    hal.put_out = NULL;
+    CHECK(named(&good, &hal, "put_out"));
+    hal = good_hal(&open);
+    hal.high_voltage = NULL;
+    CHECK(named(&good, &hal, "high_voltage"));
 }
 
 /* Replies that wait for an I2C host: as many as there is room for, to the last byte, in order, at
@@ -590,6 +680,7 @@ int main(void)
     test_player();
     test_correlator();
     test_configuration();
+    test_configuration_of_the_board();
     test_replies();
     test_input_is_read_at_instants();
     return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;

@@ -338,7 +338,8 @@ def replay(
     subprocess.run(
         [str(program), "--replay", *files, *arguments], input=saved(records), check=True, timeout=60
     )
-    return out.read_bytes(), [r.data for r in loaded(sent.read_bytes())]
+    packets = [r.data for r in loaded(sent.read_bytes()) if r.kind == PACKET]
+    return out.read_bytes(), packets
 
 
 def loaded(data: bytes) -> list[Record]:

@@ -42,6 +42,7 @@ from firmware_protocol.i2c_link import I2cTarget, SmbusTarget
 from firmware_protocol.messages import MESSAGES
 from firmware_protocol.packet import LinkCounters, Packet, decode_packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
+from firmware_protocol.sources import Ints
 
 # The files
 
@@ -312,11 +313,29 @@ def played(amplifier: ReferenceAmplifier) -> Instants:
     return instants
 
 
+class Output:
+    """Sensor of an amplifier that measures what it puts out, and no current."""
+
+    def __init__(self, channels: int) -> None:
+        self.last = np.zeros(channels, np.int64)
+
+    def measure(self, codes: Ints, rate: int) -> Ints:
+        self.last = codes[-1].copy()
+        return np.zeros_like(codes)
+
+    def readings(self) -> tuple[Ints, Ints]:
+        return self.last, np.zeros_like(self.last)
+
+    def choose(self, range_ua: int) -> None:
+        raise AssertionError(range_ua)
+
+
 @vectors("behavior")
 def test_behavior(vector: Vector) -> None:
     config = config_of(vector)
     config["fifo"] = config.pop("fifo_samples")
-    amplifier = ReferenceAmplifier(AmplifierConfig(**config))
+    sensor = Output(config["channels"]) if config.pop("sense", False) else None
+    amplifier = ReferenceAmplifier(AmplifierConfig(**config), sensor)
     everything: list[Packet] = []
     for step in vector["steps"]:
         amplifier.run(step["tick"])

@@ -17,6 +17,7 @@ from vectors_rig import (
     RECORD_INPUT,
     RECORD_PACKET,
     RECORD_RUN,
+    RECORD_SWITCHED,
     VECTORS,
     Instants,
     Vector,
@@ -297,20 +298,28 @@ def records(vector: Vector) -> bytes:
     return bytes(out)
 
 
-def split_sent(data: bytes) -> Iterator[tuple[int, Packet]]:
+def split_sent(data: bytes) -> tuple[list[tuple[int, Packet]], list[tuple[int, int]]]:
+    """Return the packets, and how the high voltage was switched, both with their ticks."""
+    sent: list[tuple[int, Packet]] = []
+    switched: list[tuple[int, int]] = []
     at = 0
     while at < len(data):
-        tick, _, size = struct.unpack_from("<QBI", data, at)
-        packet = decode_packet(data[at + 13 : at + 13 + size])
-        assert packet is not None
-        yield tick, packet
+        tick, kind, size = struct.unpack_from("<QBI", data, at)
         at += 13 + size
+        if kind == RECORD_SWITCHED:
+            switched.append((tick, data[at - 1]))
+            continue
+        packet = decode_packet(data[at - size : at])
+        assert packet is not None
+        sent.append((tick, packet))
+    return sent, switched
 
 
 @vectors("behavior")
 def test_behavior_in_c(vector: Vector, build: Path, tmp_path: Path) -> None:
     config = config_of(vector)
-    options = [
+    senses = ["--sense"] if config.pop("sense", False) else []
+    options = senses + [
         word
         for name, value in config.items()
         for word in (f"--{OPTIONS.get(name, name.replace('_', '-'))}", str(value))
@@ -323,7 +332,7 @@ def test_behavior_in_c(vector: Vector, build: Path, tmp_path: Path) -> None:
     row = struct.Struct(f"<QIBB{config['channels']}h")
     rows = list(row.iter_unpack(out.read_bytes()))
     instants: Instants = {t: (n, s, list(codes)) for t, n, s, _, *codes in rows}
-    sent = list(split_sent(sent_file.read_bytes()))
+    sent, switched = split_sent(sent_file.read_bytes())
     since = -1
     for step in vector["steps"]:
         # steps are at different ticks, so what a step caused has its tick
@@ -334,7 +343,7 @@ def test_behavior_in_c(vector: Vector, build: Path, tmp_path: Path) -> None:
             ticks = [t for t, p in sent if since < t <= step["tick"] and p.type == PULSE]
             assert ticks == [p["tick"] for p in step["pulses"]], step
         check_output(step, instants)
-        before = [r[3] for r in rows if r[0] <= step["tick"]]
-        assert step.get("high_voltage") in (None, *before[-1:]), step
+        on = [0, *(on for tick, on in switched if tick <= step["tick"])][-1]
+        assert step.get("high_voltage", on) == on, step
         since = step["tick"]
     check_last_pulse(vector, (p for _, p in sent))

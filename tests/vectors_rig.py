@@ -28,7 +28,7 @@ OPTIONS = {
     "slew_limit_v_per_s": "slew-v-per-s", "fade_limit_us": "fade-us",
 }  # fmt: skip
 HEAD, ACK, PULSE = 4, 0x40, 0x45
-RECORD_PACKET, RECORD_RUN, RECORD_FAULT, RECORD_INPUT = 3, 4, 5, 9
+RECORD_PACKET, RECORD_RUN, RECORD_FAULT, RECORD_INPUT, RECORD_SWITCHED = 3, 4, 5, 9, 10
 
 Vector = dict[str, Any]
 

@@ -89,8 +89,8 @@ static void hal_after(void *context, uint64_t tick, uint8_t state, bool high_vol
 
 static void hal_high_voltage(void *context, bool on)
 {
-    (void)context;
-    (void)on;
+    const uint8_t byte = on ? 1 : 0;
+    virtual_record(context, KIND_HIGH_VOLTAGE, &byte, 1);
 }
 
 static bool hal_estop_open(void *context)

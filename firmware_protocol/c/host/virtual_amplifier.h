@@ -24,7 +24,8 @@ enum {
     KIND_I2C_READ = 6,
     KIND_SMBUS_WRITE = 7,
     KIND_SMBUS_READ = 8,
-    KIND_ESTOP_INPUT = 9
+    KIND_ESTOP_INPUT = 9,
+    KIND_HIGH_VOLTAGE = 10 /* of what was sent: the HAL has switched it */
 };
 
 typedef struct {

@@ -77,6 +77,7 @@ TESTS = {
     "bus/amplifier_guards": "test_bus_guards",
     "c/tactile_correlator": "test_protocol_correlation test_protocol_vectors_c test_c_amplifier",
     "c/tactile_amplifier": AMPLIFIER,
+    "c/tactile_config": "test_protocol_config test_c_amplifier",
     "c/tactile_link": AMPLIFIER,
     "c/tactile_player": AMPLIFIER,
 }

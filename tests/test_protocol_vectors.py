@@ -37,6 +37,7 @@ from firmware_protocol import correlation, guard, samples, spectrum
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.can_link import CanDecoder, CanEncoder
+from firmware_protocol.capabilities import caps_fault
 from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.i2c_link import I2cTarget, SmbusTarget
 from firmware_protocol.messages import MESSAGES
@@ -110,6 +111,15 @@ def test_message(vector: Vector) -> None:
     if vector["canonical"]:
         assert message is not None
         assert message.pack().hex() == vector["payload"]
+
+
+@vectors("capabilities")
+def test_capabilities(vector: Vector) -> None:
+    caps = m.Caps.unpack(bytes.fromhex(vector["payload"]))
+    assert caps is not None
+    fault, refused = caps_fault(caps, vector["session"]), vector["refused"]
+    assert fault.startswith(f"its CAPS has {refused} " if refused else "")
+    assert bool(fault) == bool(refused)
 
 
 # Packets and links

@@ -13,7 +13,7 @@ from firmware_protocol.packet import Packet
 PROTOCOL = Path(__file__).parents[1] / "firmware_protocol"
 FILES = (
     "messages", "packets", "serial", "can", "i2c", "samples", "spectrum", "correlation",
-    "guard",    "behavior",
+    "guard", "behavior", "capabilities",
 )  # fmt: skip
 COUNTERS = (
     "packets", "crc_errors", "malformed", "oversized", "fragments_dropped", "unknown_type",

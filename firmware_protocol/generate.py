@@ -1,4 +1,4 @@
-"""Generator of messages.py and c/tactile_messages.h from schema.toml.
+"""Generator of messages.py, c/tactile_messages.h and model/table.pml from schema.toml.
 
 ``python -m firmware_protocol.generate`` writes the files. With ``--check`` it writes nothing: it
 names the files that differ from what it would write, and exits with code 1 if there are any.
@@ -387,6 +387,60 @@ def _c_decode(
     return [*lines, "    return true;", "}"]
 
 
+# Promela
+
+TIMES = ("WATCHDOG_MS", "FADE_MS", "INPUT_CLOSED_MS")
+"""Limits of the schema that the model has."""
+
+
+def _promela_cell(text: str) -> str:
+    """Return a cell of the state table, as in the schema, as a Promela expression.
+
+    It has no parentheses, which SPIN does not take after the arrow of a condition.
+    """
+    if text == "=":
+        return "STAYS"
+    state, _, then = text.partition(":")
+    if state.startswith("!"):
+        return f"REFUSED | NAK_{state[1:]}"
+    return f"{state} | {then} << 3" if then else state
+
+
+def promela_text(schema: Schema) -> str:
+    """Generate model/table.pml.
+
+    Parameters
+    ----------
+    schema : dict
+        Schema.
+
+    Returns
+    -------
+    str
+        Text of the include file, in which the cells of an event are an expression of `state`.
+    """
+    lines = [
+        "/* Times, messages, states, codes of NAK and the table of states of section 6, written by",
+        " * generate.py from schema.toml. A cell is STAYS, REFUSED | code of NAK, or",
+        " * state | next << 3, where next is the state that follows RAMPDOWN. */",
+        f"#define STAYS {STAYS}",
+        f"#define REFUSED {REFUSED}",
+        *(f"#define {name} {schema['limits'][name]}" for name in TIMES),
+        *(
+            f"#define M_{_upper(message['name'])} {message['id']}"
+            for message in schema["message"]
+            if message["from"] == "host"
+        ),
+        *(f"#define {name} {value}" for name, value in schema["enum"]["state"].items()),
+        *(f"#define NAK_{name} {value}" for name, value in schema["enum"]["nak"].items()),
+    ]
+    for event, row in schema["table"].items():
+        lines += ["", f"#define TABLE_{event.upper()} ( \\"]
+        lines += [f"    state == {s} -> {_promela_cell(row[s])} : ( \\" for s in STATES[:-1]]
+        lines.append(f"    {_promela_cell(row[STATES[-1]])}{')' * len(STATES)}")
+    return "\n".join([*lines, ""])
+
+
 def outputs() -> dict[Path, str]:
     """Generate the text of each file.
 
@@ -399,6 +453,7 @@ def outputs() -> dict[Path, str]:
     return {
         HERE / "messages.py": python_text(schema),
         HERE / "c" / "tactile_messages.h": c_text(schema),
+        HERE / "model" / "table.pml": promela_text(schema),
     }
 
 

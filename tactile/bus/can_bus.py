@@ -616,4 +616,8 @@ def _open(address: Address[CanOptions], display: DisplayLike, sample_rate: float
     )  # fmt: skip
 
 
-register_bus("can", _open, CanOptions, takes_path=True, find=find)
+def _wire(address: Address[CanOptions]) -> tuple[Wire, Clock]:
+    return connect(address.path, address.options.medium), MONOTONIC
+
+
+register_bus("can", _open, CanOptions, takes_path=True, find=find, wire=_wire)

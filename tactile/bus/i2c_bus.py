@@ -345,13 +345,21 @@ def find() -> Iterator[FoundDevice]:
 
 
 def _open(address: Address[I2cOptions], display: DisplayLike, sample_rate: float | None) -> LinkBus:
+    _require_bus(address)
+    options = address.options
+    return open_link(options, display, sample_rate, lambda: _wire(address)[0])
+
+
+def _require_bus(address: Address[I2cOptions]) -> None:
+    """Raise InputError if a URL names no bus."""
     if not address.path:
         raise InputError("i2c: names no bus; as i2c:1?address=0x42")
-    path, options = address.path, address.options
-    return open_link(
-        options, display, sample_rate,
-        lambda: connect(path, options.address or (ADDRESS,), options.medium),
-    )  # fmt: skip
 
 
-register_bus("i2c", _open, I2cOptions, takes_path=True, find=find)
+def _wire(address: Address[I2cOptions]) -> tuple[Wire, Clock]:
+    _require_bus(address)
+    options = address.options
+    return connect(address.path, options.address or (ADDRESS,), options.medium), MONOTONIC
+
+
+register_bus("i2c", _open, I2cOptions, takes_path=True, find=find, wire=_wire)

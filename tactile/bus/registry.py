@@ -12,7 +12,9 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from tactile.bus.base import Bus, DisplayLike, HostDeath
 from tactile.bus.options import O, decode, option_types
+from tactile.bus.wire import Wire
 from tactile.bus.wire_time import Link
+from tactile.clock import Clock
 from tactile.errors import BusError, InputError
 from tactile.files import nearest
 
@@ -46,6 +48,8 @@ class Address(Generic[O]):
 
 Factory = Callable[[Address[O], DisplayLike, float | None], Bus]
 """Function that opens a bus for a display, at a sample rate [Hz] or, for None, at its own."""
+Opener = Callable[[Address[O]], tuple[Wire, Clock]]
+"""Function that opens the wire to the amplifiers of a device, and returns it with its clock."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,9 @@ class Driver(Generic[O]):
         What its amplifiers do when the host dies.
     find : callable
         Function that returns the devices that are present.
+    wire : callable or None
+        Function that opens the wire alone, without a session on it; None if the device carries no
+        packets of the protocol.
     """
 
     factory: Factory[O]
@@ -87,6 +94,7 @@ class Driver(Generic[O]):
     takes_path: bool = False
     on_host_death: HostDeath = "ramps"
     find: Callable[[], Iterable[FoundDevice]] = tuple
+    wire: Opener[O] | None = None
 
 
 _drivers: dict[str, Driver[Any]] = {}
@@ -101,6 +109,7 @@ def register_bus(
     takes_path: bool = False,
     on_host_death: HostDeath = "ramps",
     find: Callable[[], Iterable[FoundDevice]] = tuple,
+    wire: Opener[O] | None = None,
 ) -> None:
     """Register a driver under a scheme; an earlier driver of that scheme is replaced.
 
@@ -108,10 +117,10 @@ def register_bus(
     ----------
     scheme : str
         First part of the URLs, without the colon.
-    factory, options, takes_path, on_host_death, find
+    factory, options, takes_path, on_host_death, find, wire
         Attributes of the `Driver`.
     """
-    _drivers[scheme] = Driver(factory, options, takes_path, on_host_death, find)
+    _drivers[scheme] = Driver(factory, options, takes_path, on_host_death, find, wire)
 
 
 def find_devices() -> Iterator[FoundDevice]:
@@ -213,6 +222,41 @@ def link_at(url: str) -> Link:
         carrying = [f"{name}:" for name, driver in _drivers.items() if driver.options().medium]
         raise InputError(f"device {url!r}: carries no packets; {', '.join(carrying)} do")
     return link
+
+
+def open_wire(url: str) -> tuple[Wire, Clock]:
+    """Open the wire of a device without a session on it, such as to test its amplifier.
+
+    Parameters
+    ----------
+    url : str
+        URL of a device that carries the protocol.
+
+    Returns
+    -------
+    wire : Wire
+        Open wire, which the caller closes.
+    clock : Clock
+        Clock by which it waits.
+
+    Raises
+    ------
+    InputError
+        If the device does not carry the protocol, or as `parse` does.
+    BusError
+        If the device cannot be opened.
+    """
+    address = parse(url)
+    wire = _drivers[address.scheme].wire
+    if wire is None:
+        carrying = [f"{name}:" for name, driver in _drivers.items() if driver.wire]
+        raise InputError(f"device {url!r}: carries no packets; {', '.join(carrying)} do")
+    try:
+        return wire(address)
+    except OSError as error:
+        if isinstance(error, BusError):
+            raise
+        raise BusError(f"device {url!r}: {error}") from error
 
 
 def open_bus(

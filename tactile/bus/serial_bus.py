@@ -550,4 +550,8 @@ def _open(
     return open_link(options, display, sample_rate, lambda: connect(path, options.medium))
 
 
-register_bus("serial", _open, SerialOptions, takes_path=True, find=find)
+def _wire(address: Address[SerialOptions]) -> tuple[Wire, Clock]:
+    return connect(address.path, address.options.medium), MONOTONIC
+
+
+register_bus("serial", _open, SerialOptions, takes_path=True, find=find, wire=_wire)

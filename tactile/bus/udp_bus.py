@@ -320,4 +320,8 @@ def _open(address: Address[UdpOptions], display: DisplayLike, sample_rate: float
     return open_link(options, display, sample_rate, lambda: connect(path, options.medium))
 
 
-register_bus("udp", _open, UdpOptions, takes_path=True)
+def _wire(address: Address[UdpOptions]) -> tuple[Wire, Clock]:
+    return connect(address.path, address.options.medium), MONOTONIC
+
+
+register_bus("udp", _open, UdpOptions, takes_path=True, wire=_wire)

@@ -50,6 +50,7 @@ COMMANDS = {
     "check": CommandEntry(
         DEVICES, "Check the amplifier, the wiring and the channels of a display."
     ),
+    "conform": CommandEntry(DEVICES, "Prove that an amplifier keeps to the protocol."),
     "devices": CommandEntry(DEVICES, "List the connected devices with their URLs."),
     "finger": CommandEntry(DEVICES, "Measure the finger that rests on a display."),
     "clear": CommandEntry(SERVE, "Clear an e-stop after a person has checked that it is safe."),

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 from msgspec.structs import fields
+from msgspec.structs import replace as replace_options
 
 from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
@@ -24,8 +25,9 @@ from tactile.bus.guards import GuardSettings
 from tactile.bus.output import OutputRecord
 from tactile.bus.registry import Address, register_bus
 from tactile.bus.simulated.current_sensor import CurrentModel, CurrentSensor, SensorDesign
-from tactile.bus.simulated.modeled_bus import MockOptions, open_modeled
-from tactile.clock import MONOTONIC, Clock
+from tactile.bus.simulated.modeled_bus import MockOptions, model_of, open_modeled, wire_of
+from tactile.bus.wire import Wire
+from tactile.clock import MONOTONIC, Clock, ModelClock
 from tactile.errors import InputError
 
 
@@ -259,4 +261,15 @@ def open_mock(
     )
 
 
-register_bus("mock", open_mock, MockOptions)
+BARE = Wiring(channels=24, sample_rate=RATE, voltage=100.0, slew=0.7e6, fade=20e-3)
+"""What an amplifier drives whose wire is opened without a display: the values that
+`AmplifierConfig` has by default."""
+
+
+def _wire(address: Address[MockOptions]) -> tuple[Wire, Clock]:
+    options = replace_options(address.options, link=address.options.link or "serial")
+    model = model_of(options, BARE, ModelClock())
+    return wire_of(model, options.medium), model.clock
+
+
+register_bus("mock", open_mock, MockOptions, wire=_wire)

@@ -7,6 +7,7 @@ the ramp.
 """
 
 import math
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -309,24 +310,38 @@ def open_modeled(
     wiring = Wiring.of(display, sample_rate or RATE)
     if model is None:
         model = model_of(options, wiring, ModelClock())
-    clock, link = model.clock, options.medium
-
-    def connect() -> Wire:
-        model.open()
-        if isinstance(model, CanModel):
-            assert isinstance(link, Can)
-            return CanWire(model, link, clock)
-        if isinstance(model, I2cModel):
-            assert isinstance(link, I2c)
-            return I2cWire(model, [ADDRESS + k for k in range(len(model.configs))], link, clock)
-        assert isinstance(model, SerialModel)
-        return SerialWire(model, link, clock)
-
     return ModeledBus(
-        wiring, model, connect, planner(options, display, sample_rate),
+        wiring, model, partial(wire_of, model, options.medium),
+        planner(options, display, sample_rate),
         keep=options.keep, rearm=options.rearm, lead=options.lead,
         correlation_ms=options.correlation_ms or 0,
     )  # fmt: skip
+
+
+def wire_of(model: Model, link: Link) -> Wire:
+    """Open the host's end of a modeled link.
+
+    Parameters
+    ----------
+    model : Model
+        Amplifiers and link.
+    link : Link
+        Medium of the link.
+
+    Returns
+    -------
+    Wire
+        The open wire.
+    """
+    model.open()
+    if isinstance(model, CanModel):
+        assert isinstance(link, Can)
+        return CanWire(model, link, model.clock)
+    if isinstance(model, I2cModel):
+        assert isinstance(link, I2c)
+        return I2cWire(model, [ADDRESS + k for k in range(len(model.configs))], link, model.clock)
+    assert isinstance(model, SerialModel)
+    return SerialWire(model, link, model.clock)
 
 
 def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:

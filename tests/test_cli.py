@@ -200,7 +200,7 @@ GROUPS = {
     "Play and inspect textures": ["play", "replay", "sheet", "show", "strength", "textures"],
     "Create and convert textures": ["convert", "fit", "relief"],
     "Design displays": ["adjust", "materials", "optimize", "paper", "response", "study"],
-    "Use devices": ["bench", "budget", "calibrate", "check", "devices", "finger"],
+    "Use devices": ["bench", "budget", "calibrate", "check", "conform", "devices", "finger"],
     "Run the server and stop displays": ["clear", "estop", "serve"],
 }
 

@@ -5,6 +5,8 @@ the reference with one fault each; the vectors that name the fault are chosen by
 """
 
 import json
+import socket
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -223,6 +225,23 @@ class Bounced(ReferenceAmplifier):
 def test_a_mute_amplifier_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BusError, match=r"^mock:: no answer to HELLO within 0\.75 s$"):
         report_on(monkeypatch, "get-set", Mute)
+
+
+def test_an_amplifier_that_answers_garbage_is_one_line() -> None:
+    """Three answers come to the three tries of HELLO, each a frame with a wrong CRC-32."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+
+        def answer() -> None:
+            for _ in range(3):
+                server.sendto(b"\x0agarbage!!\0", server.recvfrom(4096)[1])
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        url = f"udp:127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(BusError, match=r"no valid answer to HELLO: 3 packets that came were"):
+            Conformance(url)
+        thread.join()
 
 
 def test_an_amplifier_that_hangs_ends_the_test(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -121,9 +121,9 @@ MUTANTS: list[tuple[type[ReferenceAmplifier], str, str]] = [
 def test_a_mutant_fails_where_it_is_wrong(
     mutant: type[ReferenceAmplifier], caught: str, not_caught: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = verdicts(report_on(monkeypatch, f"{caught} {not_caught}", mutant))
-    assert [name for name, verdict in found.items() if verdict == "failed"] == caught.split()
-    assert {found[name] for name in not_caught.split()} == {"passed"}
+    results = verdicts(report_on(monkeypatch, f"{caught} {not_caught}", mutant))
+    assert [name for name, verdict in results.items() if verdict == "failed"] == caught.split()
+    assert {results[name] for name in not_caught.split()} == {"passed"}
     right = verdicts(report_on(monkeypatch, f"{caught} {not_caught}"))
     assert set(right.values()) == {"passed"}
 
@@ -182,8 +182,8 @@ def test_what_depends_on_time_is_left_open() -> None:
 
 def test_a_packet_of_another_node_and_a_prompt_frame_are_what_can_carries() -> None:
     heartbeat = Packet.of(m.Heartbeat(7), node=1, seq=9, ask=True)
-    (heard,) = carried(heartbeat, Can(1e6, None))
-    assert (heard.payload, heard.flags, heard.seq) == (heartbeat.payload, 0x40, 0)
+    (arriving,) = carried(heartbeat, Can(1e6, None))
+    assert (arriving.payload, arriving.flags, arriving.seq) == (heartbeat.payload, 0x40, 0)
     assert carried(heartbeat, Unlimited()) == [heartbeat]
     steps = SCENARIOS["state-estop-idle"].steps
     left = on_link(SCENARIOS["state-estop-idle"], Can(1e6, None)).steps
@@ -324,12 +324,12 @@ def test_the_command_prints_and_writes_the_report(
     monkeypatch.setattr(conformance, "load_scenarios", lambda: chosen)
     page = tmp_path / "report.html"
     assert execute(["conform", "mock:", "--report", str(page)]) == 0
-    said = capsys.readouterr()
-    assert said.err == (
+    printed = capsys.readouterr()
+    assert printed.err == (
         "switches the high voltage on and plays up to 100 V: keep away from the contactors\n"
     )
-    assert "conforms to 1.3: 2 vectors apply and passed" in said.out
-    assert "depends on exact times" in said.out
+    assert "conforms to 1.3: 2 vectors apply and passed" in printed.out
+    assert "depends on exact times" in printed.out
     text = page.read_text("utf-8")
     assert "conforms to 1.3" in text
     assert "the e-stop input: opening" in text

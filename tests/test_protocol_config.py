@@ -44,7 +44,7 @@ GOOD = AmplifierConfig()
 
 
 @pytest.fixture(scope="module")
-def told_in_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def config_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build config_faults with the largest sizes of SPEC.md, so that only those bound it."""
     program = tmp_path_factory.mktemp("config") / "config_faults"
     sizes = ["-DTA_CHANNELS=255", "-DTA_CARRIERS=64", "-DTA_FIFO=65535", "-DTA_CURRENT_DELAY=200"]
@@ -71,9 +71,9 @@ def faults_in_c(program: Path, lines: list[str]) -> list[list[str]]:
     """Return field, least and largest value of each configuration; field - for none."""
     text = "\n".join(lines) + "\n"
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    found = [line.split() for line in done.stdout.splitlines()]
-    assert len(found) == len(lines)
-    return [[C_NAMES.get(field, field), *bounds] for field, *bounds in found]
+    faults = [line.split() for line in done.stdout.splitlines()]
+    assert len(faults) == len(lines)
+    return [[C_NAMES.get(field, field), *bounds] for field, *bounds in faults]
 
 
 def fault_of(config: AmplifierConfig) -> str:
@@ -159,10 +159,10 @@ def test_what_the_spec_forbids_is_refused_with_field_value_and_limit(
         {"rate_min_hz": 1000, "rate_max_hz": 1000, "fifo": 64, "tick_hz": 10_000},
     ],
 )
-def test_what_the_spec_allows_is_taken(change: dict[str, Any], told_in_c: Path) -> None:
+def test_what_the_spec_allows_is_taken(change: dict[str, Any], config_program: Path) -> None:
     config = replace(GOOD, **change)
     assert fault_of(config) == "-"
-    assert faults_in_c(told_in_c, [line_of(config, config.name.encode())])[0][0] == "-"
+    assert faults_in_c(config_program, [line_of(config, config.name.encode())])[0][0] == "-"
 
 
 def reaches(config: AmplifierConfig, rate: int) -> bool:
@@ -177,7 +177,7 @@ def reaches(config: AmplifierConfig, rate: int) -> bool:
     [(1000, 1049, 100), (2500, 8000, 100), (1000, 1600, 60), (7999, 8001, 1), (1050, 48_000, 99)],
 )
 def test_the_slew_limit_is_the_least_that_reaches_0_volts_at_every_rate(
-    low: int, top: int, volts: int, told_in_c: Path
+    low: int, top: int, volts: int, config_program: Path
 ) -> None:
     """All rates are tried one by one; 1 V/s less fails at one of them at least."""
     config = replace(
@@ -189,9 +189,9 @@ def test_the_slew_limit_is_the_least_that_reaches_0_volts_at_every_rate(
     assert all(reaches(enough, rate) for rate in range(low, top + 1))
     assert not all(reaches(less, rate) for rate in range(low, top + 1))
     assert config_fault(enough) == ""
-    found = faults_in_c(told_in_c, [line_of(enough, b""), line_of(less, b"")])
-    assert found[0][0] == "-"
-    assert found[1] == ["slew_limit_v_per_s", str(least), str(10**8)]
+    faults = faults_in_c(config_program, [line_of(enough, b""), line_of(less, b"")])
+    assert faults[0][0] == "-"
+    assert faults[1] == ["slew_limit_v_per_s", str(least), str(10**8)]
 
 
 def test_both_ends_of_the_rates_do_not_suffice() -> None:
@@ -253,12 +253,14 @@ def any_config(rng: Random) -> AmplifierConfig:
     return config
 
 
-def test_c_and_python_refuse_the_same_configurations_for_the_same_field(told_in_c: Path) -> None:
+def test_c_and_python_refuse_the_same_configurations_for_the_same_field(
+    config_program: Path,
+) -> None:
     rng = Random(11)
     configs = [any_config(rng) for _ in range(20_000)]
-    found = faults_in_c(told_in_c, [line_of(c, b"virtual") for c in configs])
+    faults = faults_in_c(config_program, [line_of(c, b"virtual") for c in configs])
     seen: Counter[str] = Counter()
-    for config, (field, least, most) in zip(configs, found, strict=True):
+    for config, (field, least, most) in zip(configs, faults, strict=True):
         line = config_fault(config)
         name = line.split()[0] if line else "-"
         assert name == field, (config, line)
@@ -274,7 +276,7 @@ def test_c_and_python_refuse_the_same_configurations_for_the_same_field(told_in_
     assert min(seen.values()) >= 20, seen
 
 
-def test_names_are_utf_8_padded_with_zeros(told_in_c: Path) -> None:
+def test_names_are_utf_8_padded_with_zeros(config_program: Path) -> None:
     """Bytes at random, most of them at the edges of UTF-8: Python's decoder is the judge."""
     rng = Random(12)
     parts = [
@@ -285,9 +287,9 @@ def test_names_are_utf_8_padded_with_zeros(told_in_c: Path) -> None:
     ]  # fmt: skip
     names = [b"".join(rng.choices(parts, k=rng.randint(0, 9)))[:16] for _ in range(4000)]
     names += [bytes([lead, *rng.randbytes(3)]) for lead in range(256)]
-    found = faults_in_c(told_in_c, [line_of(GOOD, name) for name in names])
+    faults = faults_in_c(config_program, [line_of(GOOD, name) for name in names])
     right = 0
-    for name, (field, *_) in zip(names, found, strict=True):
+    for name, (field, *_) in zip(names, faults, strict=True):
         try:
             text = name.rstrip(b"\0").decode()
             expected = config_fault(replace(GOOD, name=text)).partition(" ")[0] or "-"

@@ -87,8 +87,8 @@ def checked(at: Path, *switches: str, optimize: str = "-O0", live: bool = False)
     )
     sizes = ["-m1000000", "-w24"] if optimize == "-O2" else ["-m300000", "-w20"]
     command = ["./pan", *(["-a"] if live else []), *sizes]
-    found = subprocess.run(command, cwd=at, check=True, capture_output=True, text=True)
-    return found.stdout
+    done = subprocess.run(command, cwd=at, check=True, capture_output=True, text=True)
+    return done.stdout
 
 
 def assert_holds(report: str) -> None:

@@ -194,7 +194,7 @@ class Conformance:
         Parameters
         ----------
         progress : callable
-            Function that is told how many vectors are done, and how many there are.
+            Function that is called with the number of vectors that are done, and that of all.
 
         Returns
         -------

@@ -76,7 +76,7 @@ class SilentSensor:
 
 
 class ReferenceWire(Wire):
-    """Wire to a reference amplifier that hears what the link would carry to it, and at once.
+    """Wire to a reference amplifier, which receives what the link would carry to it, and at once.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class ReferenceWire(Wire):
     clock : ModelClock
         Its clock, on which it powered up at 0 s.
     link : Link
-        Link whose packets it hears; on CAN some go in prompt frames.
+        Link whose packets it receives; on CAN some go in prompt frames.
     """
 
     def __init__(self, amplifier: ReferenceAmplifier, clock: ModelClock, link: Link) -> None:
@@ -101,9 +101,9 @@ class ReferenceWire(Wire):
             return 0.0  # its controller ignores the identifiers of others (3.2)
         for each in carried(packet, self.link):
             data, limit = encode_packet(each), self.amplifier.config.packet_limit
-            heard = decode_packet(data, self.amplifier.counters, limit)
-            if heard is not None:
-                self.amplifier.receive(heard, self._now())
+            decoded = decode_packet(data, self.amplifier.counters, limit)
+            if decoded is not None:
+                self.amplifier.receive(decoded, self._now())
         return 0.0
 
     def send_urgent(self, packet: Packet) -> None:
@@ -125,7 +125,7 @@ class ReferenceWire(Wire):
 
 
 def carried(packet: Packet, link: Link) -> list[Packet]:
-    """Return what an amplifier hears of a packet; a prompt frame of CAN has no header.
+    """Return what an amplifier receives of a packet; a prompt frame of CAN has no header.
 
     Parameters
     ----------
@@ -187,8 +187,8 @@ def on_link(scenario: Scenario, link: Link) -> Scenario:
 def _answered(step: Step, link: Link) -> Step:
     """Return a step without the answer that its packet does not ask for on a link."""
     packet = step.packet
-    heard = [] if packet is None else carried(packet, link)
-    if packet is None or not heard or heard[0].flags & Flag.ACK_REQUEST:
+    arriving = [] if packet is None else carried(packet, link)
+    if packet is None or not arriving or arriving[0].flags & Flag.ACK_REQUEST:
         return step
     lost = {"type": packet.type, "seq": packet.seq}
     left = (a for a in step.answers if not lost.items() <= a.fields.items())
@@ -333,20 +333,20 @@ class Judge:
         own = {**DEFAULTS, **scenario.config}
         wrong = [
             f"{name} {own[name]}, not {value}"
-            for name, value in self._told().items()
+            for name, value in self._caps_values().items()
             if value != own.get(name, value) and not self._fits(scenario, self._like(own, name))
         ]
         return "another configuration: needs " + ("; ".join(wrong) or "that of the vector")
 
-    def _told(self) -> dict[str, int]:
+    def _caps_values(self) -> dict[str, int]:
         """Return the configuration of the amplifier by the names of CAPS."""
         c = self._config
-        told = {name: getattr(c, name) for name in DEFAULTS if hasattr(c, name)}
-        return told | {"fifo_samples": c.fifo}
+        values = {name: getattr(c, name) for name in DEFAULTS if hasattr(c, name)}
+        return values | {"fifo_samples": c.fifo}
 
     def _like(self, own: dict[str, Any], name: str) -> AmplifierConfig:
         """Return the configuration of a vector with one value of the amplifier."""
-        mixed = {**own, name: self._told()[name]}
+        mixed = {**own, name: self._caps_values()[name]}
         known: dict[str, Any] = {key: value for key, value in mixed.items() if key in KNOWN}
         return replace(self._config, **known, fifo=mixed["fifo_samples"])
 

@@ -47,7 +47,7 @@ PULSE_MS = 10
 INTERVAL = 5e-3
 """Interval between requests that are repeated until the amplifier is at rest [s]."""
 
-Heard = tuple[Packet, Message]
+Received = tuple[Packet, Message]
 """Packet of the amplifier and its message."""
 
 
@@ -95,7 +95,7 @@ class Rig:
     Attributes
     ----------
     node, home : int
-        Present node of the amplifier, and that at the beginning; 0 until it is found.
+        Present node of the amplifier, and that at the beginning; 0 until it has answered.
     caps : Caps
         Its latest CAPS.
     """
@@ -107,7 +107,7 @@ class Rig:
         self.node = self.home = 0
         self.caps = m.Caps()
         self._random = random.Random(seed)
-        self._inbox: deque[Heard] = deque()
+        self._inbox: deque[Received] = deque()
         self._seq = 0
         self._ours: set[int] = set()
         """Tokens of the sessions that this rig and its scenarios took."""
@@ -139,19 +139,19 @@ class Rig:
         while self.clock.now() < until:
             self._take(until)
 
-    def _collect(self, count: int, patience: float) -> list[Heard]:
+    def _collect(self, count: int, patience: float) -> list[Received]:
         """Wait for a number of messages, or for as long as the patience lasts."""
-        heard: list[Heard] = []
+        received: list[Received] = []
         deadline = self.clock.now() + patience
         self._take(self.clock.now())
         while True:
-            while self._inbox and len(heard) < count:
-                heard.append(self._inbox.popleft())
-            if len(heard) == count or self.clock.now() >= deadline:
-                return heard
+            while self._inbox and len(received) < count:
+                received.append(self._inbox.popleft())
+            if len(received) == count or self.clock.now() >= deadline:
+                return received
             self._take(deadline)
 
-    def request(self, message: Message, *, node: int | None = None) -> Heard:
+    def request(self, message: Message, *, node: int | None = None) -> Received:
         """Send a request until it is answered.
 
         Parameters
@@ -179,9 +179,9 @@ class Rig:
             self._inbox.clear()
             self.wire.send(packet)
             deadline = self.clock.now() + AGAIN
-            while heard := self._collect(1, deadline - self.clock.now()):
-                if _answers(heard[0][1], packet):
-                    return heard[0]
+            while received := self._collect(1, deadline - self.clock.now()):
+                if _answers(received[0][1], packet):
+                    return received[0]
         raise SilenceError(self._silence(message))
 
     def _silence(self, message: Message) -> str:
@@ -206,8 +206,8 @@ class Rig:
             If several do; scenarios address all nodes.
         """
         packet, caps = self.request(m.Hello(0, m.MAJOR, m.MINOR, m.SCHEMA_CRC), node=0)
-        heard = self._collect(0xFF, 2 * INTERVAL)
-        nodes = {packet.node, *(p.node for p, each in heard if isinstance(each, m.Caps))}
+        received = self._collect(0xFF, 2 * INTERVAL)
+        nodes = {packet.node, *(p.node for p, each in received if isinstance(each, m.Caps))}
         if len(nodes) > 1:
             numbers = ", ".join(map(str, sorted(nodes)))
             raise DisturbedError(f"nodes {numbers} answer: leave one amplifier on the link")
@@ -409,9 +409,9 @@ class Rig:
             if step.packet is not None:
                 self._estops += step.packet.type == m.Estop.TYPE
                 sent += self.wire.send(words.outgoing(step, tick))
-            heard = self._collect(len(step.answers), self._patience)
-            trace.answers += [words.incoming(*each) for each in heard]
-            if len(heard) < len(step.answers):
+            received = self._collect(len(step.answers), self._patience)
+            trace.answers += [words.incoming(*each) for each in received]
+            if len(received) < len(step.answers):
                 break  # it has failed, and the steps that follow would come too late
             trace.late = max(trace.late, self.clock.now() - due)
         self._finish(trace, words, sent + stretch(0.0))
@@ -424,8 +424,8 @@ class Rig:
         last = [a.node for a in trace.answers if a.node is not None][-1:]
         node = words.swapped(last[0]) if last else self.home
         self.wire.send(Packet.of(m.Poll(), node=node, seq=0xFF, ask=True))
-        while heard := self._collect(1, self._patience):
-            answer = words.incoming(*heard[0])
+        while received := self._collect(1, self._patience):
+            answer = words.incoming(*received[0])
             if answer.message == "STATUS":
                 trace.status = answer.fields
                 trace.late = max(trace.late, self.clock.now() - at)

@@ -313,20 +313,20 @@ class Translation:
             The message with all its fields.
         """
         name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(message).__name__).upper()
-        told: Fields = {
+        values: Fields = {
             field: value.hex() if isinstance(value, bytes) else int(value)
             for field in message.__match_args__
             if isinstance(value := getattr(message, field), int | bytes)
         }
         if isinstance(message, m.Status):
-            told |= {c: (getattr(message, c) - self._before(c)) % TURN for c in COUNTERS}
+            values |= {c: (getattr(message, c) - self._before(c)) % TURN for c in COUNTERS}
         elif isinstance(message, m.Value) and message.parameter == Parameter.NODE:
-            told["value"] = self.swapped(message.value)
+            values["value"] = self.swapped(message.value)
         elif isinstance(message, m.Value) and message.parameter == Parameter.UPTIME_S:
-            told["value"] = (message.value - self.uptime) % TURN
+            values["value"] = (message.value - self.uptime) % TURN
         elif isinstance(message, m.Nak) and _tells_trips(message):
-            told["detail"] = (message.detail - self._before("trips")) % TURN
-        return Answer(name, _uptime_apart(name, told), self.swapped(packet.node))
+            values["detail"] = (message.detail - self._before("trips")) % TURN
+        return Answer(name, _uptime_apart(name, values), self.swapped(packet.node))
 
     def _before(self, counter: str) -> int:
         """Return a counter before the scenario."""

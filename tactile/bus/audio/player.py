@@ -52,11 +52,6 @@ The program ends afterwards.
 """
 REPORT_INTERVAL = 5e-3
 """Least interval between reports in reply to samples [s]."""
-PACKET = 65535
-"""Size limit of packets to the amplifier in memory [bytes].
-
-It is the largest that the protocol can express, since short packets have no advantage in memory.
-"""
 BACKLOG = 1000
 """Largest number of messages that wait for the card.
 
@@ -234,8 +229,7 @@ class CardOutput:
         self.position = self.frames = self.xruns = self.late_blocks = self.dropped_samples = 0
         self.called, self.refused, self.fault = MONOTONIC.now(), "", ""
         self.busy = self.played = 0.0
-        config = replace(config_of(wiring, wiring.channels, 1), packet_limit=PACKET)
-        self._board = Board(config, SampleFormat.PCM16)
+        self._board = Board(config_of(wiring, wiring.channels, 1), SampleFormat.PCM16)
         self._wiring, self._full_scale = wiring, full_scale
         self._rate = round(wiring.sample_rate)
         self._longest = self._rate * HEARTBEAT_MS // 2000

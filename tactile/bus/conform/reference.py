@@ -32,7 +32,7 @@ LATENESS = (50e-3, 20e-3, 10e-3)
 """Times by which each step of a scenario may come later than its vector says [s]. A scenario is
 played with the longest of them with which it applies."""
 STRETCHINGS = 8
-"""Number of random stretchings of each scenario, besides three simple ones."""
+"""Number of random stretchings of each scenario, besides four simple ones."""
 PASTS = 3
 """Number of different pasts of the reference before its scenarios."""
 GRID = 0.1
@@ -366,8 +366,9 @@ KNOWN = {field.name for field in fields(AmplifierConfig)}
 
 def _stretchings(dice: random.Random, late: float) -> Iterable[Callable[[float], float]]:
     """Yield functions that draw by how much later each step comes."""
-    yield lambda gap: dice.uniform(0.0, late)
+    yield lambda gap: 0.0
     yield lambda gap: late
+    yield lambda gap: dice.uniform(0.0, late)
     yield lambda gap: dice.choice((0.0, late))
     for _ in range(STRETCHINGS):
         yield lambda gap: dice.choice((0.0, late, dice.uniform(0.0, late)))

@@ -80,99 +80,9 @@ void ta_limit(ta_amplifier *amp, uint32_t voltage_uv, uint32_t slew_v_per_s, uin
     derive(amp);
 }
 
-/* Messages to the host */
-
-void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_size)
-{
-    ta_packet p;
-    p.type = type;
-    p.flags = (uint8_t)(TP_MAJOR << 6);
-    p.node = amp->node;
-    p.seq = amp->seq++;
-    p.size = payload_size;
-    p.payload = NULL;
-    if (!amp->hal.send(amp->hal.context, packet, ta_packet_seal(packet, &p))) {
-        amp->counters.dropped_replies++;
-    }
-}
-
 uint8_t ta_phase(const ta_amplifier *amp)
 {
     return amp->state == TP_STATE_RUNNING ? amp->player.phase : (uint8_t)TP_PHASE_STILL;
-}
-
-/* Neither PULSE nor LOG is sent before a session was taken (section 6). */
-static void send_pulse(ta_amplifier *amp)
-{
-    uint8_t packet[TA_OVERHEAD + TP_PULSE_SIZE];
-    const ta_player *p = &amp->player;
-    bool plays = amp->state == TP_STATE_RUNNING || amp->state == TP_STATE_RAMPDOWN;
-    uint32_t fill_ms = plays ? 1000u * p->fill / p->rate : 0;
-    tp_pulse m;
-    if (amp->session == 0) {
-        return;
-    }
-    m.credit_position = p->position + p->fifo;
-    m.state = amp->state;
-    m.phase = ta_phase(amp);
-    m.underruns = (uint8_t)amp->counters.underruns;
-    m.fill_ms = (uint8_t)(fill_ms < 255u ? fill_ms : 255u);
-    ta_send(amp, TP_PULSE, packet, tp_pulse_encode(&m, packet + TA_HEADER, TP_PULSE_SIZE));
-}
-
-void ta_announce(ta_amplifier *amp)
-{
-    if (amp->announce) {
-        amp->announce = false;
-        send_pulse(amp);
-    }
-}
-
-static void send_log(ta_amplifier *amp, uint8_t level, const char *text)
-{
-    uint8_t packet[TA_OVERHEAD + TP_LOG_SIZE + TA_LOG_MAX];
-    tp_log m;
-    if (amp->session == 0 || level < amp->log_level) {
-        return;
-    }
-    m.level = level;
-    m.text = (const uint8_t *)text;
-    m.text_size = strlen(text);
-    ta_send(amp, TP_LOG, packet,
-            tp_log_encode(&m, packet + TA_HEADER, TP_LOG_SIZE + TA_LOG_MAX));
-}
-
-/* Measures channels first ... first + count - 1 and sends what it found. */
-static void send_sense(ta_amplifier *amp, uint8_t first, uint8_t count)
-{
-    uint8_t packet[TA_REPLY_MAX];
-    uint8_t *readings = packet + TA_HEADER + TP_SENSE_SIZE;
-    tp_sense m;
-    m.position = amp->last_position;
-    m.first_channel = first;
-    m.channels = count;
-    m.readings = NULL;
-    m.readings_size = 0;
-    size_t size = tp_sense_encode(&m, packet + TA_HEADER, TP_SENSE_SIZE);
-    for (size_t i = 0; i < count; i++) {
-        int16_t voltage = 0;
-        int16_t current = 0;
-        amp->hal.sense(amp->hal.context, (uint8_t)(first + i), &voltage, &current);
-        tp_put_le(readings + 4u * i, (uint64_t)(uint16_t)voltage, 2);
-        tp_put_le(readings + 4u * i + 2u, (uint64_t)(uint16_t)current, 2);
-    }
-    ta_send(amp, TP_SENSE, packet, size + 4u * count);
-}
-
-/* All channels, in as few packets as the limit allows. */
-static void send_senses(ta_amplifier *amp)
-{
-    size_t most = (amp->config.packet_limit - TA_OVERHEAD - TP_SENSE_SIZE) / 4u;
-    size_t channels = amp->config.channels;
-    for (size_t first = 0; first < channels; first += most) {
-        size_t count = channels - first < most ? channels - first : most;
-        send_sense(amp, (uint8_t)first, (uint8_t)count);
-    }
 }
 
 /* Correlation, section 16 */
@@ -195,38 +105,6 @@ void ta_correlation_stop(ta_amplifier *amp)
     ta_correlator_stop(&amp->correlator);
 }
 
-static void send_correlation(ta_amplifier *amp, uint8_t first, uint8_t count)
-{
-    uint8_t packet[TA_OVERHEAD + TA_CORRELATION_MAX];
-    uint8_t *entries = packet + TA_HEADER + TP_CORRELATION_SIZE;
-    tp_correlation m;
-    m.position = amp->correlator.position;
-    m.range_ua = amp->sense_range_ua;
-    m.samples = amp->correlator.samples;
-    m.first_channel = first;
-    m.channels = count;
-    m.lags = TP_LAGS;
-    m.entries = NULL;
-    m.entries_size = 0;
-    size_t size = tp_correlation_encode(&m, packet + TA_HEADER, TP_CORRELATION_SIZE);
-    for (size_t i = 0; i < count; i++) {
-        ta_correlator_entry(&amp->correlator, first + i, entries + TA_ENTRY * i);
-    }
-    ta_send(amp, TP_CORRELATION, packet, size + TA_ENTRY * count);
-}
-
-/* The window that is complete: all channels, in as few packets as possible. */
-static void send_correlations(ta_amplifier *amp)
-{
-    size_t room = (amp->config.packet_limit - TA_OVERHEAD - TP_CORRELATION_SIZE) / TA_ENTRY;
-    size_t most = room < TA_CORRELATED ? room : TA_CORRELATED;
-    size_t channels = amp->config.channels;
-    for (size_t first = 0; first < channels; first += most) {
-        size_t count = channels - first < most ? channels - first : most;
-        send_correlation(amp, (uint8_t)first, (uint8_t)count);
-    }
-}
-
 static uint16_t window_samples(const ta_amplifier *amp)
 {
     uint64_t samples = (uint64_t)amp->correlation_ms * amp->player.rate / 1000u;
@@ -240,31 +118,22 @@ static void add_to_window(ta_amplifier *amp, uint32_t position, const int16_t *c
     if (c->left == 0 && amp->correlation_ms == 0) {
         return;
     }
-    ta_correlator_open(c, position, window_samples(amp));
+    ta_correlator_open(c, position, window_samples(amp), amp->sense_range_ua);
     for (size_t i = 0; i < amp->config.channels; i++) {
         if (amp->player.held[i] < TA_GAIN_FULL) {
             ta_correlator_held(c, i);
         }
     }
-    if (ta_correlator_add(c, currents)) {
-        send_correlations(amp);
+    switch (ta_correlator_add(c, currents)) {
+    case TA_WINDOW_COMPLETE:
+        ta_note_correlation(amp);
+        break;
+    case TA_WINDOW_LOST:
+        amp->counters.dropped_replies++;
+        break;
+    default:
+        break;
     }
-}
-
-/* Tells which channels have tripped, and the first position that is put out with another gain. */
-static void send_guarded(ta_amplifier *amp, uint32_t position)
-{
-    uint8_t packet[TA_OVERHEAD + TP_GUARDED_SIZE + TA_CHANNELS];
-    uint8_t *reasons = packet + TA_HEADER + TP_GUARDED_SIZE;
-    tp_guarded m;
-    m.position = position;
-    m.reasons = NULL;
-    m.reasons_size = 0;
-    size_t size = tp_guarded_encode(&m, packet + TA_HEADER, TP_GUARDED_SIZE);
-    for (size_t i = 0; i < amp->config.channels; i++) {
-        reasons[i] = amp->guard.guards[i].reason;
-    }
-    ta_send(amp, TP_GUARDED, packet, size + amp->config.channels);
 }
 
 /* After the sample at `position` was put out; `come` says that the tick of START has come. */
@@ -284,7 +153,7 @@ static void correlate(ta_amplifier *amp, uint32_t position, bool come)
     amp->hal.currents(amp->hal.context, currents);
     add_to_window(amp, position, currents);
     if (ta_guard_add(&amp->guard, &amp->correlator, currents)) {
-        send_guarded(amp, position + 1u);
+        ta_note_guarded(amp, position + 1u);
     }
 }
 
@@ -327,6 +196,14 @@ static void move_guards(ta_amplifier *amp)
 }
 
 #endif
+
+/* Firmware of one context sends a report where it was noted. */
+static void serve_at_once(ta_amplifier *amp)
+{
+    if (amp->hal.mask == NULL) {
+        ta_serve(amp);
+    }
+}
 
 /* States, section 6 */
 
@@ -372,8 +249,6 @@ void ta_apply(ta_amplifier *amp, uint8_t entry)
 
 void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now)
 {
-    char text[] = "fault 000";
-    char *end = text + 6;
     ta_run(amp, now);
     amp->hardware_fault = code;
     if (code == TP_FAULT_NONE) {
@@ -382,19 +257,11 @@ void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now)
     amp->fault = code;
     amp->counters.trips++;
     ta_apply(amp, on_fault[amp->state]);
-    if (!amp->announce) {
-        return;
+    if (amp->announce) {
+        ta_announce(amp);
+        ta_note_log(amp, TP_LOG_LEVEL_ERROR, NULL, code);
     }
-    ta_announce(amp);
-    if (code >= 100u) {
-        *end++ = (char)('0' + code / 100u);
-    }
-    if (code >= 10u) {
-        *end++ = (char)('0' + code / 10u % 10u);
-    }
-    *end++ = (char)('0' + code % 10u);
-    *end = '\0';
-    send_log(amp, TP_LOG_LEVEL_ERROR, text);
+    serve_at_once(amp);
 }
 
 /* E-stop input, section 6.3: an opening acts at once, a closing when it has lasted. */
@@ -415,7 +282,7 @@ static void read_input(ta_amplifier *amp, uint64_t now)
     ta_apply(amp, on_estop_input[amp->state]);
     if (amp->announce) {
         ta_announce(amp);
-        send_log(amp, TP_LOG_LEVEL_ERROR, "e-stop input open");
+        ta_note_log(amp, TP_LOG_LEVEL_ERROR, "e-stop input open", 0);
     }
 }
 
@@ -423,6 +290,7 @@ void ta_estop_input(ta_amplifier *amp, uint64_t now)
 {
     ta_run(amp, now);
     read_input(amp, now);
+    serve_at_once(amp);
 }
 
 bool ta_input_open(const ta_amplifier *amp, uint64_t now)
@@ -448,7 +316,7 @@ static void watch(ta_amplifier *amp, uint64_t tick)
     }
     amp->counters.watchdogs++;
     ta_announce(amp);
-    send_log(amp, TP_LOG_LEVEL_WARNING, "watchdog: no heartbeat");
+    ta_note_log(amp, TP_LOG_LEVEL_WARNING, "watchdog: no heartbeat", 0);
 }
 
 /* Sample clock, section 7.1 */
@@ -464,9 +332,10 @@ static void next_period(ta_amplifier *amp)
     }
 }
 
+/* No instant follows another at once: a request is of a tick that may be before the latest instant. */
 static void set_base(ta_amplifier *amp, uint64_t base)
 {
-    amp->next = base;
+    amp->next = base > amp->last_tick ? base : amp->last_tick;
     amp->remainder = 0;
     next_period(amp);
 }
@@ -513,7 +382,7 @@ static void pulse_if_due(ta_amplifier *amp, uint64_t tick)
     if (amp->pulse_now || ta_elapsed(tick, amp->pulse_tick, amp->pulse_ms, amp->config.tick_hz)) {
         amp->pulse_now = false;
         amp->pulse_tick = tick;
-        send_pulse(amp);
+        ta_note_pulse(amp);
     }
 }
 
@@ -525,7 +394,8 @@ static void sense_if_due(ta_amplifier *amp, uint64_t tick)
     if (amp->sense_now || ta_elapsed(tick, amp->sense_tick, amp->sense_ms, amp->config.tick_hz)) {
         amp->sense_now = false;
         amp->sense_tick = tick;
-        send_senses(amp);
+        ta_note_sense(amp);
+        serve_at_once(amp); /* measured before the codes change */
     }
 }
 
@@ -554,6 +424,7 @@ static void instant(ta_amplifier *amp)
 {
     uint64_t tick = ta_next_instant(amp);
     advance_clock(amp);
+    amp->last_tick = tick;
     read_input(amp, tick);
     watch(amp, tick);
     pulse_if_due(amp, tick);
@@ -562,6 +433,7 @@ static void instant(ta_amplifier *amp)
     end_rampdown(amp);
     settle_high_voltage(amp);
     ta_announce(amp);
+    serve_at_once(amp);
     if (amp->hal.after != NULL) {
         amp->hal.after(amp->hal.context, tick, amp->state, amp->high_voltage);
     }
@@ -571,5 +443,12 @@ void ta_run(ta_amplifier *amp, uint64_t now)
 {
     while (ta_next_instant(amp) <= now) {
         instant(amp);
+    }
+}
+
+void ta_catch_up(ta_amplifier *amp, uint64_t now)
+{
+    if (amp->hal.mask == NULL) {
+        ta_run(amp, now);
     }
 }

@@ -1,8 +1,12 @@
 /* The amplifier of SPEC.md: states, session, watchdog, sample clock, checks and answers.
  *
- * Firmware has one `ta_amplifier`, a link (tactile_link.h) and a loop or a timer interrupt that calls
- * ta_run with the present tick; all is integer arithmetic in fixed memory. Calls must not overlap: with
- * several interrupts, give them one priority, or mask them around each call.
+ * Firmware has one `ta_amplifier`, a link (tactile_link.h) and a timer; all is integer arithmetic in fixed
+ * memory. It is of two contexts, or of one:
+ *
+ * - The interrupt of the timer calls ta_run, a loop feeds the link and calls ta_serve. An interrupt of the e-stop
+ *   input or of a fault has the priority of the timer's, so that neither interrupts the other. The loop's calls
+ *   may be interrupted anywhere, but where the core has called `mask` of the HAL.
+ * - Without `mask`, a loop calls all of it, and nothing overlaps. Reports are sent where they arise.
  */
 #ifndef TACTILE_AMPLIFIER_H
 #define TACTILE_AMPLIFIER_H
@@ -11,6 +15,7 @@
 #include "tactile_hal.h"
 #include "tactile_packet.h"
 #include "tactile_player.h"
+#include "tactile_reports.h"
 
 /* Properties of the board; CAPS tells most of them to the host. */
 typedef struct {
@@ -63,7 +68,7 @@ typedef struct {
     /* Watchdog, section 6.2. */
     bool watched;
     uint64_t heartbeat; /* tick of the last HEARTBEAT or ARM */
-    bool heard;         /* this session has sent HEARTBEAT or ARM (6.1) */
+    bool alive;         /* this session has sent HEARTBEAT or ARM (6.1) */
 
     /* Sample clock, section 7.1: the next instant and the remainder of k x tick_hz / rate. */
     uint64_t next;
@@ -73,14 +78,17 @@ typedef struct {
     bool start_pending;
     uint64_t start_tick;
     uint32_t start_position;
-    uint32_t last_position; /* position that was put out last */
+    uint64_t last_tick;     /* tick and position of the latest instant */
+    uint32_t last_position;
 
     /* Messages that the amplifier sends unasked. */
+    ta_reports reports;
     bool pulse_now;
     uint64_t pulse_tick;
     bool sense_now;
     uint64_t sense_tick;
     uint8_t seq;
+    uint32_t refusal_detail; /* of the NAK to the request that is handled */
 
     /* Parameters, and index and tick of the last SYNC. */
     uint8_t node;
@@ -119,14 +127,19 @@ bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal);
 /* Carries out all sample instants up to and including `now`. */
 void ta_run(ta_amplifier *amp, uint64_t now);
 
-/* Handles a packet whose last byte arrived at `now`. */
+/* Sends what the instants have noted: PULSE, LOG, SENSE, CORRELATION and GUARDED. The loop of firmware of two
+ * contexts calls it once per ms or so; with one context it has nothing to do. */
+void ta_serve(ta_amplifier *amp);
+
+/* Handles a packet whose last byte arrived at `now`, which instants may have passed meanwhile. */
 void ta_receive(ta_amplifier *amp, const uint8_t *packet, size_t size, uint64_t now);
 
 /* Handles a message without header and CRC-32, from a prompt frame of CAN (section 3.2). */
 void ta_receive_prompt(ta_amplifier *amp, uint8_t type, const uint8_t *payload, size_t size,
                        uint64_t now);
 
-/* Reports a fault of the hardware, or with code 0 that it is over. */
+/* Reports a fault of the hardware, or with code 0 that it is over; from the interrupt of its pin, or from one
+ * of the timer's priority. */
 void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now);
 
 /* Reads the e-stop input now; meant for an interrupt of its pin where a sample period is long. Without

@@ -64,28 +64,26 @@ static uint32_t least_slew(const ta_config *c)
     return least == 0 ? 1u : least < UINT32_MAX ? (uint32_t)least : UINT32_MAX;
 }
 
-/* Bytes that follow the first one of a character in UTF-8, and -1 where it is none. */
-static int following(uint8_t byte)
+/* Returns the number of bytes of the character in UTF-8 at the beginning of `bytes`, 0 where there is none. */
+static size_t character(const uint8_t *bytes)
 {
-    return byte < 0x80u   ? 0
-           : byte < 0xC2u ? -1
-           : byte < 0xE0u ? 1
-           : byte < 0xF0u ? 2
-           : byte < 0xF5u ? 3
-                          : -1;
-}
-
-/* Whether a character is UTF-8: it has all its bytes, is not longer than it need be, no half of a pair
- * of UTF-16 and not above U+10FFFF. The second byte tells, once the first is right. */
-static bool is_character(const uint8_t *bytes, int count)
-{
-    for (int k = 1; k <= count; k++) {
-        if ((bytes[k] & 0xC0u) != 0x80u) {
-            return false;
+    static const uint32_t least[] = {0, 0x80, 0x800, 0x10000}; /* that a character needs so many bytes for */
+    uint32_t value = bytes[0];
+    size_t more = value < 0x80u ? 0 : value < 0xE0u ? 1 : value < 0xF0u ? 2 : 3;
+    if (more > 0) {
+        if (value < 0xC0u || value >= 0xF8u) {
+            return 0;
         }
+        value &= 0x3Fu >> more;
     }
-    return !(bytes[0] == 0xE0u && bytes[1] < 0xA0u) && !(bytes[0] == 0xEDu && bytes[1] > 0x9Fu) &&
-           !(bytes[0] == 0xF0u && bytes[1] < 0x90u) && !(bytes[0] == 0xF4u && bytes[1] > 0x8Fu);
+    for (size_t k = 1; k <= more; k++) {
+        if ((bytes[k] & 0xC0u) != 0x80u) {
+            return 0;
+        }
+        value = value << 6 | (bytes[k] & 0x3Fu);
+    }
+    bool surrogate = value >> 11 == 0xD800u >> 11; /* half of a pair of UTF-16 */
+    return value >= least[more] && value <= 0x10FFFFu && !surrogate ? more + 1u : 0;
 }
 
 /* Whether the name is UTF-8 and after its end all zeros (section 1). */
@@ -95,11 +93,11 @@ static bool name_allowed(const char *name)
     size_t at = 0;
     memcpy(bytes, name, NAME_SIZE);
     while (at < NAME_SIZE && bytes[at] != 0) {
-        int count = following(bytes[at]);
-        if (count < 0 || !is_character(bytes + at, count)) {
+        size_t size = character(bytes + at);
+        if (size == 0) {
             return false;
         }
-        at += 1u + (size_t)count;
+        at += size;
     }
     while (at < NAME_SIZE) {
         if (bytes[at++] != 0) {
@@ -148,6 +146,7 @@ const char *ta_config_fault(const ta_config *c, const ta_hal *hal, ta_bounds *bo
     fault->field = hal->send == NULL           ? "send"
                    : hal->put_out == NULL      ? "put_out"
                    : hal->high_voltage == NULL ? "high_voltage"
+                   : (hal->mask == NULL) != (hal->unmask == NULL) ? "unmask"
                                                : NULL;
     if (fault->field != NULL) {
         return fault->field;

@@ -169,10 +169,11 @@ static inline int64_t ta_rounded(int64_t value, unsigned shift)
     return ta_shift_right(value + (shift > 0 ? (int64_t)1 << (shift - 1u) : 0), shift);
 }
 
-/* Returns whether `ms` or more have passed, at `tick_hz`, from `since` to `now`. */
+/* Returns whether `ms` or more have passed, at `tick_hz`, from `since` to `now`. A request may be of a tick before
+ * that of an instant that interrupted it. */
 static inline bool ta_elapsed(uint64_t now, uint64_t since, uint32_t ms, uint32_t tick_hz)
 {
-    return (now - since) * 1000u >= (uint64_t)ms * tick_hz;
+    return now >= since && (now - since) * 1000u >= (uint64_t)ms * tick_hz;
 }
 
 #endif

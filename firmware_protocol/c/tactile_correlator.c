@@ -22,8 +22,8 @@ bool ta_correlator_played(ta_correlator *c, const int16_t *codes)
 {
     c->newest = (uint8_t)(c->newest + 1u < TA_CODES ? c->newest + 1u : 0);
     for (size_t i = 0; i < c->channels; i++) {
-        c->sums[i].codes[c->newest] = codes[i];
-        c->sums[i].codes[c->newest + TA_CODES] = codes[i];
+        c->codes[i][c->newest] = codes[i];
+        c->codes[i][c->newest + TA_CODES] = codes[i];
     }
     if (c->lacking > 0) {
         c->lacking--;
@@ -32,16 +32,18 @@ bool ta_correlator_played(ta_correlator *c, const int16_t *codes)
     return true;
 }
 
-void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
+void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples, uint16_t range_ua)
 {
+    ta_window *window = &c->windows[c->open];
     if (c->left > 0) {
         return;
     }
-    c->position = position - c->delay;
-    c->samples = samples;
+    window->position = position - c->delay;
+    window->samples = samples;
+    window->range_ua = range_ua;
     c->left = samples;
     for (size_t i = 0; i < c->channels; i++) {
-        ta_correlated *s = &c->sums[i];
+        ta_correlated *s = &window->sums[i];
         s->energy = 0;
         s->flags = 0;
         memset(s->products, 0, sizeof s->products);
@@ -50,7 +52,7 @@ void ta_correlator_open(ta_correlator *c, uint32_t position, uint16_t samples)
 
 const int16_t *ta_correlator_code(const ta_correlator *c, size_t channel)
 {
-    return c->sums[channel].codes + c->newest + TA_CODES - c->delay;
+    return c->codes[channel] + c->newest + TA_CODES - c->delay;
 }
 
 /* Adds a current, and its products with the code it belongs to and those before. */
@@ -69,19 +71,38 @@ static void add(ta_correlated *s, const int16_t *code, int32_t current)
 
 void ta_correlator_held(ta_correlator *c, size_t channel)
 {
-    c->sums[channel].flags |= TP_WINDOW_GUARDED;
+    c->windows[c->open].sums[channel].flags |= TP_WINDOW_GUARDED;
 }
 
-bool ta_correlator_add(ta_correlator *c, const int16_t *currents)
+ta_window_fate ta_correlator_add(ta_correlator *c, const int16_t *currents)
 {
+    ta_correlated *sums = c->windows[c->open].sums;
     if (c->left == 0) {
-        return false;
+        return TA_WINDOW_LACKS;
     }
     for (size_t i = 0; i < c->channels; i++) {
-        add(&c->sums[i], ta_correlator_code(c, i), currents[i] == INT16_MIN ? -INT16_MAX : currents[i]);
+        add(&sums[i], ta_correlator_code(c, i), currents[i] == INT16_MIN ? -INT16_MAX : currents[i]);
     }
     c->left--;
-    return c->left == 0;
+    if (c->left > 0) {
+        return TA_WINDOW_LACKS;
+    }
+    if (c->complete) {
+        return TA_WINDOW_LOST;
+    }
+    c->complete = true;
+    c->open ^= 1u;
+    return TA_WINDOW_COMPLETE;
+}
+
+const ta_window *ta_correlator_window(const ta_correlator *c)
+{
+    return &c->windows[c->open ^ 1u];
+}
+
+void ta_correlator_sent(ta_correlator *c)
+{
+    c->complete = false;
 }
 
 /* The least exponent with which a value has so many bits, not rounded. */
@@ -115,9 +136,8 @@ static uint32_t energy_code(uint64_t energy)
     return exponent << ENERGY_BITS | (uint32_t)ta_rounded((int64_t)energy, exponent);
 }
 
-void ta_correlator_entry(const ta_correlator *c, size_t channel, uint8_t *out)
+void ta_correlator_entry(const ta_correlated *s, uint8_t *out)
 {
-    const ta_correlated *s = &c->sums[channel];
     int64_t sums[TP_LAGS];
     for (size_t lag = 0; lag < TP_LAGS; lag++) {
         sums[lag] = s->products[lag] - s->products[lag + 1u];

@@ -31,9 +31,8 @@ bool ta_guard_valid(const uint8_t *entry)
     return entry[1] <= TA_GUARD_SHIFT_MOST && entry[2] <= TA_GUARD_SHIFT_MOST;
 }
 
-void ta_guard_take(ta_guard *g, size_t channel, const uint8_t *entry)
+void ta_guard_decode(ta_guard_entry *e, const uint8_t *entry)
 {
-    ta_guard_entry *e = &g->guards[channel].pending;
     e->armed = (entry[0] & TP_GUARD_FLAG_ARMED) != 0;
     e->releases = (entry[0] & TP_GUARD_FLAG_RELEASE) != 0;
     e->drive_shift = entry[1];
@@ -48,6 +47,11 @@ void ta_guard_take(ta_guard *g, size_t channel, const uint8_t *entry)
         e->drive[i] = (int16_t)get(entry, 16 + 2 * i, 2);
         e->change[i] = (int16_t)get(entry, 16 + 2 * (TP_GUARD_TAPS + i), 2);
     }
+}
+
+void ta_guard_take(ta_guard *g, size_t channel, const ta_guard_entry *entry)
+{
+    g->guards[channel].pending = *entry;
     g->guards[channel].waits = true;
 }
 

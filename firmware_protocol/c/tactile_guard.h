@@ -58,11 +58,14 @@ typedef struct {
 /* Forgets all entries, as at START. */
 void ta_guard_start(ta_guard *g, uint8_t channels, uint32_t rate);
 
-/* Keeps an entry of TA_GUARD_ENTRY bytes until the block under way is over. */
-void ta_guard_take(ta_guard *g, size_t channel, const uint8_t *entry);
-
-/* Returns whether the shifts of an entry are possible. */
+/* Returns whether the shifts of an entry of TA_GUARD_ENTRY bytes are possible. */
 bool ta_guard_valid(const uint8_t *entry);
+
+/* Decodes a valid entry. */
+void ta_guard_decode(ta_guard_entry *e, const uint8_t *entry);
+
+/* Keeps an entry until the block under way is over. */
+void ta_guard_take(ta_guard *g, size_t channel, const ta_guard_entry *entry);
 
 /* Moves the gains of all channels on, by an instant of RUNNING. Returns whether one is below TA_GAIN_FULL. */
 bool ta_guard_move(ta_guard *g, int32_t *gains);

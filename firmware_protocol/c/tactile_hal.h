@@ -1,7 +1,9 @@
 /* Functions of the board for the amplifier: a port fills in this struct, and nothing else.
  *
- * All functions are called from where ta_run and ta_receive are called, never from an interrupt of
- * their own, and must not call back into the amplifier.
+ * All functions are called from where the core is called, and must not call back into it. In firmware of two
+ * contexts (tactile_amplifier.h) put_out, currents, estop_open and after belong to the interrupt; send, clock,
+ * identify, sense, supply_mv and temperature_mk to the loop, where they may take their time; high_voltage, fault
+ * and sense_range are called from either, and within a lock.
  */
 #ifndef TACTILE_HAL_H
 #define TACTILE_HAL_H
@@ -31,6 +33,11 @@ typedef struct {
     bool (*estop_open)(void *context);
 
     /* The rest may be NULL. */
+
+    /* Hold off the interrupt that calls ta_run, and allow it again: both, or neither in firmware whose calls of
+     * the core never overlap. They are called from the loop alone and do not nest. */
+    void (*mask)(void *context);
+    void (*unmask)(void *context);
 
     /* Is called after each instant, for a display on the board, a logger or a test. */
     void (*after)(void *context, uint64_t tick, uint8_t state, bool high_voltage);

@@ -20,16 +20,41 @@ bool ta_reach_zero(const ta_config *c, uint32_t voltage_uv, uint32_t slew_v_per_
 /* Sets the sample rate for ARM; another rate begins at `now`. */
 void ta_set_rate(ta_amplifier *amp, uint32_t rate, uint64_t now);
 
+/* Hold off ta_run around what it must not interrupt, for no longer than an instant takes. They do not nest. */
+static inline void ta_lock(const ta_amplifier *amp)
+{
+    if (amp->hal.mask != NULL) {
+        amp->hal.mask(amp->hal.context);
+    }
+}
+
+static inline void ta_unlock(const ta_amplifier *amp)
+{
+    if (amp->hal.mask != NULL) {
+        amp->hal.unmask(amp->hal.context);
+    }
+}
+
+/* Carries out the instants up to `now`, in firmware in which no interrupt does. */
+void ta_catch_up(ta_amplifier *amp, uint64_t now);
+
 /* Sends a packet whose payload is at packet + TA_HEADER. */
 void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_size);
 
-/* Sends PULSE if the state has changed since the last call. */
+/* Note what ta_serve is to send. They are called by ta_run, or within a lock. */
+void ta_note_pulse(ta_amplifier *amp);
+void ta_note_log(ta_amplifier *amp, uint8_t level, const char *text, uint8_t fault); /* NULL: of the fault */
+void ta_note_sense(ta_amplifier *amp);
+void ta_note_correlation(ta_amplifier *amp);
+void ta_note_guarded(ta_amplifier *amp, uint32_t position);
+
+/* Notes PULSE if the state has changed since the last call. */
 void ta_announce(ta_amplifier *amp);
 
 /* Returns whether the e-stop input counts as open (6.3). */
 bool ta_input_open(const ta_amplifier *amp, uint64_t now);
 
-/* CORRELATION (16): whether the board has it, START, and the end of the window under way. */
+/* CORRELATION (16): whether the board has it, what START forgets, and the end of the window under way. */
 bool ta_correlates(const ta_amplifier *amp);
 void ta_correlation_start(ta_amplifier *amp);
 void ta_correlation_stop(ta_amplifier *amp);
@@ -45,16 +70,13 @@ typedef struct {
     bool ack;    /* the host wants an answer */
 } ta_request;
 
-/* The result of a request: code 0 if it was done, else the code and detail of NAK and the counter. */
-typedef struct {
-    uint8_t code;
-    uint32_t detail;
-    uint32_t *counter;
-} ta_verdict;
+/* The result of a request: TA_DONE, or the code of NAK. */
+typedef uint8_t ta_verdict;
+#define TA_DONE 0u
 
-ta_verdict ta_done(void);
-ta_verdict ta_refuse_as(uint32_t *counter, uint8_t code, uint32_t detail);
-ta_verdict ta_refuse(ta_amplifier *amp, uint8_t code, uint32_t detail);
+/* Count a refusal, and keep the detail of its NAK. */
+ta_verdict ta_refuse_as(ta_amplifier *amp, uint32_t *counter, uint8_t code, uint32_t detail);
+ta_verdict ta_refuse(ta_amplifier *amp, uint8_t code, uint32_t detail); /* as refused */
 ta_verdict ta_malformed(ta_amplifier *amp, const ta_request *r);
 
 /* Makes check 8: whether the table allows the event in this state. */
@@ -64,7 +86,8 @@ ta_verdict ta_by_table(ta_amplifier *amp, const uint8_t *table);
 extern const uint8_t ta_on_arm[], ta_on_start[], ta_on_stop[], ta_on_disarm[], ta_on_estop[],
     ta_on_clear_fault[], ta_on_limits[], ta_on_carriers[];
 
-/* Each makes check 9 of a message and carries it out. */
+/* Each makes check 9 of a message and carries it out. Those of which a rule (tactile_requests.c) says so are called
+ * within a lock, after check 8; the others take it themselves, for no more than they must. */
 ta_verdict ta_act_hello(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_time(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_sync(ta_amplifier *amp, const ta_request *r);

@@ -10,15 +10,6 @@ static size_t row(const ta_player *p, uint32_t ahead)
     return at < p->fifo ? at : at - p->fifo;
 }
 
-static void clear_buffer(ta_player *p)
-{
-    static const ta_set none;
-    for (uint32_t i = 0; i < p->fill; i++) {
-        p->present[row(p, i)] = none;
-    }
-    p->fill = 0;
-}
-
 static void clear_envelopes(ta_player *p)
 {
     for (size_t c = 0; c < p->channels; c++) {
@@ -33,19 +24,14 @@ void ta_player_init(ta_player *p, ta_counters *counters, uint8_t channels, uint1
     p->channels = channels;
     p->fifo = fifo;
     p->silent = true;
+    ta_player_clear(p);
     ta_player_start(p, 0);
     p->moved = true;
 }
 
-void ta_player_start(ta_player *p, uint32_t position)
+void ta_player_clear(ta_player *p)
 {
-    p->position = position;
-    p->moved = false;
-    p->phase = TP_PHASE_WAITING;
-    p->gain = 0;
-    p->quick = false;
-    p->held_down = false;
-    clear_buffer(p);
+    memset(p->present, 0, p->fifo * sizeof p->present[0]);
     if (p->mode == TP_MODE_SPECTRUM) {
         clear_envelopes(p);
     }
@@ -57,58 +43,73 @@ void ta_player_start(ta_player *p, uint32_t position)
     }
 }
 
+void ta_player_start(ta_player *p, uint32_t position)
+{
+    p->position = position;
+    p->fill = 0;
+    p->moved = false;
+    p->phase = TP_PHASE_WAITING;
+    p->gain = 0;
+    p->quick = false;
+    p->held_down = false;
+}
+
 /* What is kept `ahead` of the position may be the newest. */
 static void note_newest(ta_player *p, int32_t ahead)
 {
     p->fill = (uint16_t)(ahead >= p->fill ? ahead + 1 : p->fill);
 }
 
-void ta_player_pcm(ta_player *p, uint32_t position, uint8_t first, const ta_samples *samples)
+/* A row keeps its place until its position has been put out, so that what is written to it meanwhile is either
+ * kept or, where its instant has come, of a row that holds nothing. */
+int16_t *ta_player_row(ta_player *p, uint32_t position)
 {
-    ta_set channels = {{0}};
-    bool kept = false;
-    for (size_t c = 0; c < samples->channels; c++) {
-        ta_set_add(&channels, first + c);
+    int32_t ahead = ta_distance(position, p->position);
+    if (ahead < 0) {
+        p->counters->late_samples++;
+        return NULL;
     }
-    for (uint8_t i = 0; i < samples->samples; i++) {
-        int32_t ahead = ta_distance(position + i, p->position);
-        if (ahead < 0) {
-            p->counters->late_samples++;
-        } else if (ahead >= p->fifo) {
-            p->counters->future_samples++;
-        } else {
-            size_t at = row(p, (uint32_t)ahead);
-            ta_samples_row(samples, i, p->kept.samples[at] + first);
-            ta_set_join(&p->present[at], &channels);
-            note_newest(p, ahead);
-            kept = true;
-        }
+    if (ahead >= p->fifo) {
+        p->counters->future_samples++;
+        return NULL;
     }
-    if (kept) {
-        ta_set_join(&p->active, &channels);
-    }
+    return p->kept.samples[row(p, (uint32_t)ahead)];
 }
 
-void ta_player_frame(ta_player *p, uint32_t position, uint16_t valid, uint8_t first,
-                     uint8_t channels, const uint8_t *envelopes)
+void ta_player_keep_row(ta_player *p, uint32_t position, const ta_set *channels)
 {
-    size_t size = 2u * p->carriers;
+    int32_t ahead = ta_distance(position, p->position);
+    if (ahead < 0) {
+        p->counters->late_samples++;
+        return;
+    }
+    ta_set_join(&p->present[row(p, (uint32_t)ahead)], channels);
+    ta_set_join(&p->active, channels);
+    note_newest(p, ahead);
+}
+
+static void count_fate(ta_player *p, ta_frame_fate fate)
+{
+    p->counters->late_samples += fate == TA_FRAME_LATE ? 1u : 0u;
+    p->counters->future_samples += fate == TA_FRAME_FUTURE ? 1u : 0u;
+}
+
+ta_frame *ta_player_frame(ta_player *p, size_t channel, uint32_t position)
+{
+    ta_frame *frame = NULL;
+    count_fate(p, ta_envelope_offer(&p->kept.envelopes[channel], position, p->position, p->fifo, &frame));
+    return frame;
+}
+
+void ta_player_keep_frame(ta_player *p, size_t channel, ta_frame *frame)
+{
     uint32_t longest = p->rate * TP_VALID_MS / 1000u;
-    valid = valid < longest ? valid : (uint16_t)longest;
-    for (size_t c = 0; c < channels; c++) {
-        switch (ta_envelope_offer(&p->kept.envelopes[first + c], position, valid, envelopes + c * size,
-                                  p->carriers, p->position, p->fifo)) {
-        case TA_FRAME_LATE:
-            p->counters->late_samples++;
-            break;
-        case TA_FRAME_FUTURE:
-            p->counters->future_samples++;
-            break;
-        default:
-            note_newest(p, ta_distance(position, p->position));
-            ta_set_add(&p->active, first + c);
-            break;
-        }
+    frame->valid = frame->valid < longest ? frame->valid : (uint16_t)longest;
+    ta_frame_fate fate = ta_envelope_keep(&p->kept.envelopes[channel], frame, p->position);
+    count_fate(p, fate);
+    if (fate == TA_FRAME_KEPT) {
+        note_newest(p, ta_distance(frame->position, p->position));
+        ta_set_add(&p->active, channel);
     }
 }
 

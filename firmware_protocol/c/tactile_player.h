@@ -54,13 +54,29 @@ typedef struct {
 
 void ta_player_init(ta_player *p, ta_counters *counters, uint8_t channels, uint16_t fifo);
 
-/* Begins a START: empties the buffer, no channel is active, the gain is 0, the phase WAITING. */
+/* Empties the buffer before a START: no channel is active. Instants of states that do not play, neither RUNNING
+ * nor RAMPDOWN, may come meanwhile. */
+void ta_player_clear(ta_player *p);
+
+/* Begins a START, with the buffer cleared: the gain is 0, the phase WAITING. */
 void ta_player_start(ta_player *p, uint32_t position);
 
-/* Store samples, or a frame, that have passed all checks. */
-void ta_player_pcm(ta_player *p, uint32_t position, uint8_t first, const ta_samples *samples);
-void ta_player_frame(ta_player *p, uint32_t position, uint16_t valid, uint8_t first,
-                     uint8_t channels, const uint8_t *envelopes);
+/* Stores of samples and frames that have passed all checks. Each takes two calls, so that it can be decoded
+ * between them, where instants may come; what comes too late even then is counted and not kept. */
+
+/* Returns the row for the samples of a position, to write those of some channels to; NULL if it is late or in
+ * the future, which is counted. */
+int16_t *ta_player_row(ta_player *p, uint32_t position);
+
+/* Keeps the samples of these channels that were written to the row of a position. */
+void ta_player_keep_row(ta_player *p, uint32_t position, const ta_set *channels);
+
+/* Returns a place for the frame of a position, to decode it to; NULL if it is late, in the future or there
+ * already, of which the first two are counted. */
+ta_frame *ta_player_frame(ta_player *p, size_t channel, uint32_t position);
+
+/* Keeps a frame that was decoded, and holds its validity to TP_VALID_MS. */
+void ta_player_keep_frame(ta_player *p, size_t channel, ta_frame *frame);
 
 /* Carries out an instant: settles phase and gain and puts the new codes into `codes`. `come` says that
  * the tick of START has come, so that WAITING may end. */

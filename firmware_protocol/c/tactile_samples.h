@@ -4,6 +4,9 @@
 
 #include "tactile_core.h"
 
+#define TA_BFP8_BLOCK 32u /* samples that share an exponent */
+#define TA_BFP8_EXPONENT_MAX 8u
+
 /* The body of a PCM message and its layout. */
 typedef struct {
     uint8_t format;
@@ -20,7 +23,7 @@ size_t ta_samples_size(uint8_t format, uint8_t channels, uint8_t samples);
 void ta_samples_row(const ta_samples *samples, uint8_t at, int16_t *codes);
 
 /* Encodes channels x samples codes, position by position, into `out`, which has room for
- * ta_samples_size. Amplifiers do not need it; tests and hosts in firmware do. */
+ * ta_samples_size. It is in tactile_encode.c, for tests and hosts in firmware. */
 void ta_samples_encode(const int16_t *codes, uint8_t format, uint8_t channels, uint8_t samples,
                        uint8_t *out);
 

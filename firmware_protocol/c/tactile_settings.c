@@ -59,7 +59,7 @@ ta_verdict ta_act_limits(ta_amplifier *amp, const ta_request *r)
         return ta_refuse(amp, TP_NAK_RANGE, 2);
     }
     ta_limit(amp, voltage, slew, lower(m.fade_us, amp->fade_us));
-    return ta_done();
+    return TA_DONE;
 }
 
 /* A parameter's value; false where this amplifier does not have it. */
@@ -182,7 +182,7 @@ ta_verdict ta_act_get(ta_amplifier *amp, const ta_request *r)
         ta_send(amp, TP_VALUE, packet,
                 tp_value_encode(&reply, packet + TA_HEADER, TP_VALUE_SIZE));
     }
-    return ta_done();
+    return TA_DONE;
 }
 
 /* Whether NODE may be set: not while something can play, nor of all amplifiers at once. */
@@ -205,10 +205,10 @@ ta_verdict ta_act_set(ta_amplifier *amp, const ta_request *r)
     if (m.parameter == TP_PARAMETER_NODE && !may_move(amp, r)) {
         return ta_refuse(amp, TP_NAK_STATE, 0);
     }
-    if (!parameter_set(amp, m.parameter, m.value)) {
-        return ta_refuse(amp, TP_NAK_RANGE, 2);
-    }
-    return ta_done();
+    ta_lock(amp);
+    bool in_range = parameter_set(amp, m.parameter, m.value);
+    ta_unlock(amp);
+    return in_range ? TA_DONE : ta_refuse(amp, TP_NAK_RANGE, 2);
 }
 
 ta_verdict ta_act_identify(ta_amplifier *amp, const ta_request *r)
@@ -218,42 +218,21 @@ ta_verdict ta_act_identify(ta_amplifier *amp, const ta_request *r)
     if (amp->hal.identify != NULL) {
         amp->hal.identify(amp->hal.context, m.seconds);
     }
-    return ta_done();
+    return TA_DONE;
 }
 
-/* STATUS has the counters in the order of ta_counters. */
-static void copy_counters(tp_status *m, const ta_counters *c)
-{
-    m->packets = c->packets;
-    m->crc_errors = c->crc_errors;
-    m->malformed = c->malformed;
-    m->oversized = c->oversized;
-    m->fragments_dropped = c->fragments_dropped;
-    m->wrong_version = c->wrong_version;
-    m->unsupported = c->unsupported;
-    m->unknown_type = c->unknown_type;
-    m->foreign_session = c->foreign_session;
-    m->refused = c->refused;
-    m->ignored = c->ignored;
-    m->wrong_channel = c->wrong_channel;
-    m->wrong_format = c->wrong_format;
-    m->late_samples = c->late_samples;
-    m->future_samples = c->future_samples;
-    m->lost_samples = c->lost_samples;
-    m->underruns = c->underruns;
-    m->limited_samples = c->limited_samples;
-    m->watchdogs = c->watchdogs;
-    m->dropped_replies = c->dropped_replies;
-    m->trips = c->trips;
-}
+/* STATUS has the counters in the order of ta_counters, and nothing between them. */
+TA_ASSERT(counters, offsetof(tp_status, trips) - offsetof(tp_status, packets) ==
+                        offsetof(ta_counters, trips) - offsetof(ta_counters, packets));
 
 ta_verdict ta_act_poll(ta_amplifier *amp, const ta_request *r)
 {
     uint8_t packet[TA_OVERHEAD + TP_STATUS_SIZE];
     tp_status m;
     if (r->to_all) {
-        return ta_done();
+        return TA_DONE;
     }
+    ta_lock(amp);
     m.state = amp->state;
     m.phase = ta_phase(amp);
     m.fault = amp->fault;
@@ -266,8 +245,9 @@ ta_verdict ta_act_poll(ta_amplifier *amp, const ta_request *r)
     m.voltage_limit_uv = amp->voltage_uv;
     m.slew_limit_v_per_s = amp->slew_v_per_s;
     m.fade_us = amp->fade_us;
-    copy_counters(&m, &amp->counters);
+    memcpy((uint8_t *)&m + offsetof(tp_status, packets), &amp->counters, sizeof amp->counters);
     m.inputs = ta_input_open(amp, r->now) ? TP_INPUT_ESTOP_OPEN : 0;
+    ta_unlock(amp);
     ta_send(amp, TP_STATUS, packet, tp_status_encode(&m, packet + TA_HEADER, TP_STATUS_SIZE));
-    return ta_done();
+    return TA_DONE;
 }

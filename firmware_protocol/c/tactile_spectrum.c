@@ -164,32 +164,45 @@ static void retire(ta_envelope *e, size_t place)
     e->queued--;
 }
 
-/* Puts the frame behind the queue, which gets longer by one, at a place of `order`. */
+/* Puts the last free frame, which is behind the queue and behind the other free ones, at a place of `order`. */
 static void insert(ta_envelope *e, size_t place)
 {
-    e->queued++;
-    uint8_t frame = e->order[e->queued];
-    for (size_t i = e->queued; i > place; i--) {
+    uint8_t frame = e->order[TA_QUEUE];
+    for (size_t i = TA_QUEUE; i > place; i--) {
         e->order[i] = e->order[i - 1u];
     }
     e->order[place] = frame;
+    e->queued++;
 }
 
-ta_frame_fate ta_envelope_offer(ta_envelope *e, uint32_t position, uint16_t valid, const uint8_t *codes,
-                                uint8_t carriers, uint32_t n, uint32_t fifo)
+static bool is_late(const ta_envelope *e, uint32_t position, uint32_t n)
 {
-    ta_frame_fate fate = TA_FRAME_KEPT;
-    int32_t ahead = ta_distance(position, n);
+    return ta_distance(position, n) <= 0 ||
+           (e->ramping && ta_distance(position, position_at(e, 0)) <= 0);
+}
+
+/* The place in `order` of the first frame of the queue that is not before a position. */
+static size_t place_for(const ta_envelope *e, uint32_t position)
+{
     size_t at = 1;
-    if (ahead <= 0 || (e->ramping && ta_distance(position, position_at(e, 0)) <= 0)) {
-        return TA_FRAME_LATE;
-    }
-    if (ahead >= (int32_t)fifo) {
-        return TA_FRAME_FUTURE;
-    }
     while (at <= e->queued && ta_distance(position, position_at(e, at)) > 0) {
         at++;
     }
+    return at;
+}
+
+ta_frame_fate ta_envelope_offer(ta_envelope *e, uint32_t position, uint32_t n, uint32_t fifo,
+                                ta_frame **frame)
+{
+    ta_frame_fate fate = TA_FRAME_KEPT;
+    *frame = NULL;
+    if (is_late(e, position, n)) {
+        return TA_FRAME_LATE;
+    }
+    if (ta_distance(position, n) >= (int32_t)fifo) {
+        return TA_FRAME_FUTURE;
+    }
+    size_t at = place_for(e, position);
     if (at <= e->queued && position_at(e, at) == position) {
         return TA_FRAME_KEPT;
     }
@@ -200,14 +213,26 @@ ta_frame_fate ta_envelope_offer(ta_envelope *e, uint32_t position, uint16_t vali
         }
         e->queued--;
     }
-    insert(e, at);
-    ta_frame *frame = frame_at(e, at);
-    frame->position = position;
+    *frame = frame_at(e, TA_QUEUE);
+    (*frame)->position = position;
+    return fate;
+}
+
+void ta_frame_decode(ta_frame *frame, uint16_t valid, const uint8_t *codes, uint8_t carriers)
+{
     frame->valid = valid;
     for (size_t c = 0; c < carriers; c++) {
         frame->phasors[c] = ta_phasor_decode(codes[2u * c], codes[2u * c + 1u]);
     }
-    return fate;
+}
+
+ta_frame_fate ta_envelope_keep(ta_envelope *e, const ta_frame *frame, uint32_t n)
+{
+    if (is_late(e, frame->position, n)) {
+        return TA_FRAME_LATE;
+    }
+    insert(e, place_for(e, frame->position));
+    return TA_FRAME_KEPT;
 }
 
 bool ta_envelope_ready(const ta_envelope *e, uint32_t n, bool moved)

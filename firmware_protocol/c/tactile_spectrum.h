@@ -42,10 +42,17 @@ typedef enum { TA_FRAME_KEPT, TA_FRAME_LATE, TA_FRAME_FUTURE } ta_frame_fate;
 
 void ta_envelope_clear(ta_envelope *e);
 
-/* Queues the frame of `position`, with an amplitude code and a phase code of each carrier; `n` is the
- * position that is put out next. With TA_FRAME_FUTURE this frame or the last of the queue was dropped. */
-ta_frame_fate ta_envelope_offer(ta_envelope *e, uint32_t position, uint16_t valid, const uint8_t *codes,
-                                uint8_t carriers, uint32_t n, uint32_t fifo);
+/* Gives a free place for the frame of `position`, to be decoded and then kept; `n` is the position that is put out
+ * next. *frame becomes NULL if the frame is dropped, or is there already. With TA_FRAME_FUTURE this frame or the
+ * last of the queue was dropped. */
+ta_frame_fate ta_envelope_offer(ta_envelope *e, uint32_t position, uint32_t n, uint32_t fifo,
+                                ta_frame **frame);
+
+/* Decodes a frame, with an amplitude code and a phase code of each carrier, to the place that was offered. */
+void ta_frame_decode(ta_frame *frame, uint16_t valid, const uint8_t *codes, uint8_t carriers);
+
+/* Queues the frame that was decoded, if its position has not come meanwhile. */
+ta_frame_fate ta_envelope_keep(ta_envelope *e, const ta_frame *frame, uint32_t n);
 
 /* Returns whether a channel is ready at position n; `moved` says whether n has changed since the last
  * instant. */

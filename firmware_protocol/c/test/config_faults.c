@@ -5,40 +5,7 @@
 #include <stdlib.h>
 
 #include "../tactile_amplifier.h"
-
-static bool send_nothing(void *context, const uint8_t *packet, size_t size)
-{
-    (void)context;
-    (void)packet;
-    (void)size;
-    return true;
-}
-
-static void put_nothing(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
-{
-    (void)context;
-    (void)tick;
-    (void)position;
-    (void)codes;
-}
-
-static void switch_nothing(void *context, bool on)
-{
-    (void)context;
-    (void)on;
-}
-
-static bool closed(void *context)
-{
-    (void)context;
-    return false;
-}
-
-static void no_currents(void *context, int16_t *codes)
-{
-    (void)context;
-    (void)codes;
-}
+#include "board.h"
 
 /* The next number of the line. */
 static uint32_t number(char **at)
@@ -71,8 +38,8 @@ static void read_line(char *at, ta_config *c, ta_hal *hal)
     c->voltage_limit_uv = number(&at);
     c->slew_limit_v_per_s = number(&at);
     c->fade_limit_us = number(&at);
-    hal->currents = number(&at) != 0 ? no_currents : NULL;
-    hal->estop_open = number(&at) != 0 ? closed : NULL;
+    hal->currents = number(&at) != 0 ? board_currents : NULL;
+    hal->estop_open = number(&at) != 0 ? board_estop_open : NULL;
     read_name(at + 1, c->name);
 }
 
@@ -81,11 +48,9 @@ int main(void)
     static char line[512];
     while (fgets(line, sizeof line, stdin) != NULL) {
         ta_config config = {0};
-        ta_hal hal = {0};
+        bool open = false;
+        ta_hal hal = board_hal(&open);
         ta_bounds bounds;
-        hal.send = send_nothing;
-        hal.put_out = put_nothing;
-        hal.high_voltage = switch_nothing;
         read_line(line, &config, &hal);
         const char *field = ta_config_fault(&config, &hal, &bounds);
         printf("%s %u %u\n", field != NULL ? field : "-", bounds.least, bounds.most);

@@ -27,6 +27,7 @@
 #include "../tactile_link.h"
 #include "../tactile_samples.h"
 #include "../tactile_spectrum.h"
+#include "board.h"
 
 static void show(const uint8_t *bytes, size_t size)
 {
@@ -97,38 +98,11 @@ static size_t hex(const char *text)
     return size;
 }
 
-static bool ignore(void *context, const uint8_t *packet, size_t size)
-{
-    (void)context;
-    (void)packet;
-    (void)size;
-    return true;
-}
-
-static void put_nothing(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
-{
-    (void)context;
-    (void)tick;
-    (void)position;
-    (void)codes;
-}
-
-static void switch_nothing(void *context, bool on)
-{
-    (void)context;
-    (void)on;
-}
-
-static bool contact_open(void *context)
-{
-    (void)context;
-    return false;
-}
-
 static void power_up(uint8_t node, size_t limit)
 {
     ta_config config = {0};
-    ta_hal hal = {0};
+    static bool open;
+    ta_hal hal = board_hal(&open);
     config.node = node;
     config.channels = 2;
     config.formats = 7;
@@ -141,10 +115,6 @@ static void power_up(uint8_t node, size_t limit)
     config.voltage_limit_uv = 100000000;
     config.slew_limit_v_per_s = 700000;
     config.fade_limit_us = 20000;
-    hal.send = ignore;
-    hal.put_out = put_nothing;
-    hal.high_voltage = switch_nothing;
-    hal.estop_open = contact_open;
     if (!ta_init(&amp, &config, &hal)) {
         printf("no amplifier ");
     }
@@ -410,16 +380,17 @@ static void do_correlate(void)
         ta_correlator_played(&correlator, &code);
     }
     size_t samples = number();
-    ta_correlator_open(&correlator, 0, (uint16_t)samples);
+    ta_correlator_open(&correlator, 0, (uint16_t)samples, 1);
     for (size_t i = 0; i < samples; i++) {
         code = (int16_t)number();
         ta_correlator_played(&correlator, &code);
         code = (int16_t)number();
-        if (ta_correlator_add(&correlator, &code) != (i + 1 == samples)) {
+        bool complete = ta_correlator_add(&correlator, &code) == TA_WINDOW_COMPLETE;
+        if (complete != (i + 1 == samples)) {
             printf("not complete ");
         }
     }
-    ta_correlator_entry(&correlator, 0, entry);
+    ta_correlator_entry(&ta_correlator_window(&correlator)->sums[0], entry);
     show(entry, sizeof entry);
 }
 
@@ -427,13 +398,15 @@ static void do_guard(void)
 {
     static ta_correlator correlator;
     static ta_guard guard;
+    ta_guard_entry entry;
     int16_t code;
     ta_correlator_start(&correlator, 1, 0);
     ta_guard_start(&guard, 1, 8000);
     if (hex(word()) != TA_GUARD_ENTRY) {
         printf("wrong length ");
     }
-    ta_guard_take(&guard, 0, bytes);
+    ta_guard_decode(&entry, bytes);
+    ta_guard_take(&guard, 0, &entry);
     size_t samples = number();
     for (size_t i = 0; i < samples; i++) {
         code = (int16_t)number();

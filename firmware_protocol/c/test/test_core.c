@@ -5,6 +5,7 @@
 
 #include "../tactile_internal.h"
 #include "../tactile_link.h"
+#include "board.h"
 
 static int failures;
 
@@ -233,7 +234,13 @@ static void test_amplitudes(void)
 static ta_frame_fate offer(ta_envelope *e, uint32_t position, uint32_t n, uint32_t fifo)
 {
     static const uint8_t codes[] = {255, 0};
-    return ta_envelope_offer(e, position, 2, codes, 1, n, fifo);
+    ta_frame *frame;
+    ta_frame_fate fate = ta_envelope_offer(e, position, n, fifo, &frame);
+    if (frame != NULL) {
+        ta_frame_decode(frame, 2, codes, 1);
+        CHECK(ta_envelope_keep(e, frame, n) == TA_FRAME_KEPT);
+    }
+    return fate;
 }
 
 /* A frame, its ramp, its end in force and the expiry after `valid` (10.3). The carrier stands at its cosine's
@@ -360,6 +367,20 @@ static void test_arithmetic(void)
     CHECK(ta_elapsed(150000, 0, 150, 1000000) && !ta_elapsed(149999, 0, 150, 1000000));
 }
 
+/* Keeps the samples of one channel, from a position on. */
+static void keep(ta_player *p, uint32_t position, uint8_t channel, const ta_samples *s)
+{
+    ta_set channels = {{0}};
+    ta_set_add(&channels, channel);
+    for (uint8_t i = 0; i < s->samples; i++) {
+        int16_t *codes = ta_player_row(p, position + i);
+        if (codes != NULL) {
+            ta_samples_row(s, i, codes + channel);
+            ta_player_keep_row(p, position + i, &channels);
+        }
+    }
+}
+
 /* 11.2: the clamp comes before the gain. 8.2: only what is kept makes a channel active. START leaves
  * nothing of what was kept, wherever the head of the buffer is. */
 static void test_player(void)
@@ -374,14 +395,15 @@ static void test_player(void)
     p.limit = 1000;
     p.step = 65534;
     p.gain_full = 4;
+    ta_player_clear(&p);
     ta_player_start(&p, 100);
-    ta_player_pcm(&p, 97, 1, &s);
-    ta_player_pcm(&p, 108, 1, &s);
+    keep(&p, 97, 1, &s);
+    keep(&p, 108, 1, &s);
     CHECK(!ta_set_has(&p.active, 1) && p.fill == 0);
     CHECK(counters.late_samples == 3 && counters.future_samples == 3);
-    ta_player_pcm(&p, 101, 0, &s);
+    keep(&p, 101, 0, &s);
     CHECK(ta_set_has(&p.active, 0) && p.fill == 4);
-    ta_player_pcm(&p, 100, 0, &s); /* 4000, 4000, -4000, -4000 */
+    keep(&p, 100, 0, &s); /* 4000, 4000, -4000, -4000 */
     ta_player_instant(&p, TP_STATE_RUNNING, true);
     CHECK(p.codes[0] == 1000 && p.codes[1] == 0);
     for (size_t i = 0; i < 4; i++) {
@@ -390,40 +412,12 @@ static void test_player(void)
         CHECK(p.codes[0] == fade[i]);
     }
     CHECK(counters.limited_samples == 4); /* not at gain 0 */
-    ta_player_pcm(&p, 109, 0, &s);
+    keep(&p, 109, 0, &s);
+    ta_player_clear(&p);
     ta_player_start(&p, 7);
     for (size_t i = 0; i < 8; i++) {
         CHECK(ta_set_empty(&p.present[i]));
     }
-}
-
-static bool send_nothing(void *context, const uint8_t *packet, size_t size)
-{
-    (void)context;
-    (void)packet;
-    (void)size;
-    return true;
-}
-
-static void switch_nothing(void *context, bool on)
-{
-    (void)context;
-    (void)on;
-}
-
-/* A contact for a HAL whose context it is. */
-static bool contact_open(void *context)
-{
-    const bool *open = context;
-    return *open;
-}
-
-static void put_nothing(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
-{
-    (void)context;
-    (void)tick;
-    (void)position;
-    (void)codes;
 }
 
 /* Who never calls ta_estop_input has the contact read at each instant (6.3), and a contact that bounces
@@ -432,7 +426,7 @@ static void test_input_is_read_at_instants(void)
 {
     static ta_amplifier amp;
     bool open = false;
-    ta_hal hal = {0};
+    ta_hal hal = board_hal(&open);
     ta_config config = {0};
     config.node = 1;
     config.channels = 1;
@@ -444,11 +438,6 @@ static void test_input_is_read_at_instants(void)
     config.full_scale_uv = 100000000;
     config.voltage_limit_uv = 100000000;
     config.slew_limit_v_per_s = 700000;
-    hal.context = &open;
-    hal.send = send_nothing;
-    hal.put_out = put_nothing;
-    hal.high_voltage = switch_nothing;
-    hal.estop_open = contact_open;
     config.formats = 1;
     CHECK(ta_init(&amp, &config, &hal));
     ta_run(&amp, 1000);
@@ -471,15 +460,9 @@ static void test_input_is_read_at_instants(void)
 static bool named(const ta_config *c, const ta_hal *hal, const char *field)
 {
     static ta_amplifier amp;
-    const char *found = ta_config_fault(c, hal, NULL);
-    CHECK(ta_init(&amp, c, hal) == (found == NULL));
-    return found != NULL && strcmp(found, field) == 0;
-}
-
-static void no_currents(void *context, int16_t *codes)
-{
-    (void)context;
-    (void)codes;
+    const char *field_at_fault = ta_config_fault(c, hal, NULL);
+    CHECK(ta_init(&amp, c, hal) == (field_at_fault == NULL));
+    return field_at_fault != NULL && strcmp(field_at_fault, field) == 0;
 }
 
 static ta_config good_config(void)
@@ -500,15 +483,9 @@ static ta_config good_config(void)
     return good;
 }
 
-static ta_hal good_hal(bool *open)
+static void mask_nothing(void *context)
 {
-    ta_hal hal = {0};
-    hal.context = open;
-    hal.send = send_nothing;
-    hal.put_out = put_nothing;
-    hal.high_voltage = switch_nothing;
-    hal.estop_open = contact_open;
-    return hal;
+    (void)context;
 }
 
 #define REFUSED(field, value)                                                                      \
@@ -524,7 +501,7 @@ static void test_configuration(void)
 {
     static ta_amplifier amp;
     bool open = false;
-    ta_hal hal = good_hal(&open);
+    ta_hal hal = board_hal(&open);
     ta_config good = good_config();
     ta_bounds bounds;
     CHECK(ta_config_fault(&good, &hal, &bounds) == NULL && bounds.field == NULL);
@@ -557,7 +534,7 @@ static void test_configuration(void)
 static void test_configuration_of_the_board(void)
 {
     bool open = false;
-    ta_hal hal = good_hal(&open);
+    ta_hal hal = board_hal(&open);
     ta_config good = good_config();
     hal.estop_open = NULL;
     good.full_scale_uv = 60000001;
@@ -565,7 +542,7 @@ static void test_configuration_of_the_board(void)
     CHECK(named(&good, &hal, "estop_open"));
     good.full_scale_uv = 60000000;
     CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
-    hal.currents = no_currents;
+    hal.currents = board_currents;
     CHECK(named(&good, &hal, "sense_range_ua"));
     good.sense_range_ua = 1;
     CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
@@ -582,15 +559,18 @@ static void test_configuration_of_the_board(void)
     good.name[15] = (char)0xC3;
     CHECK(named(&good, &hal, "name"));
     good = good_config();
-    hal = good_hal(&open);
+    hal = board_hal(&open);
     hal.send = NULL;
     CHECK(named(&good, &hal, "send"));
-    hal = good_hal(&open);
+    hal = board_hal(&open);
     hal.put_out = NULL;
     CHECK(named(&good, &hal, "put_out"));
-    hal = good_hal(&open);
+    hal = board_hal(&open);
     hal.high_voltage = NULL;
     CHECK(named(&good, &hal, "high_voltage"));
+    hal = board_hal(&open);
+    hal.mask = mask_nothing;
+    CHECK(named(&good, &hal, "unmask"));
 }
 
 /* Replies that wait for an I2C host: as many as there is room for, to the last byte, in order, at
@@ -635,25 +615,33 @@ static void test_correlator(void)
     static int16_t currents[TA_CHANNELS];
     uint8_t entry[TA_ENTRY];
     ta_correlator_start(&c, TA_CHANNELS, 0);
-    CHECK(!ta_correlator_add(&c, currents)); /* none is under way */
-    ta_correlator_open(&c, 7, 4);
+    CHECK(ta_correlator_add(&c, currents) == TA_WINDOW_LACKS); /* none is under way */
+    ta_correlator_open(&c, 7, 4, 2500);
     for (int16_t n = 0; n < 4; n++) {
         for (size_t k = 0; k < TA_CHANNELS; k++) {
             codes[k] = n < 2 ? 0 : 100;
             currents[k] = (int16_t)k;
         }
         ta_correlator_played(&c, codes);
-        ta_correlator_open(&c, 9, 2); /* one is */
-        CHECK(ta_correlator_add(&c, currents) == (n == 3));
+        ta_correlator_open(&c, 9, 2, 1); /* one is */
+        CHECK(ta_correlator_add(&c, currents) == (n < 3 ? TA_WINDOW_LACKS : TA_WINDOW_COMPLETE));
     }
-    CHECK(c.position == 7 && c.samples == 4);
+    const ta_window *window = ta_correlator_window(&c);
+    CHECK(window->position == 7 && window->samples == 4 && window->range_ua == 2500);
     for (size_t k = 0; k < TA_CHANNELS; k++) {
-        ta_correlator_entry(&c, k, entry);
+        ta_correlator_entry(&window->sums[k], entry);
         CHECK(entry[0] == 0 && entry[1] == 0);
         for (size_t lag = 0; lag < TP_LAGS; lag++) {
             CHECK(tp_get_le(entry, sizeof entry, 4 + 2 * lag, 2) == (lag < 2 ? 100 * k : 0));
         }
     }
+    ta_correlator_open(&c, 11, 1, 2500);
+    CHECK(ta_correlator_add(&c, currents) == TA_WINDOW_LOST);
+    CHECK(ta_correlator_window(&c) == window && window->position == 7);
+    ta_correlator_sent(&c);
+    ta_correlator_open(&c, 12, 1, 2500);
+    CHECK(ta_correlator_add(&c, currents) == TA_WINDOW_COMPLETE);
+    CHECK(ta_correlator_window(&c)->position == 12);
 }
 
 int main(void)

@@ -8,7 +8,7 @@
     BUDGET("idle_mean", 900, 1400)                                                                 \
     BUDGET("idle_worst", 900, 1400)                                                                \
     BUDGET("pcm16_mean", 1500, 2200)                                                               \
-    BUDGET("pcm16_worst", 2000, 3200)                                                              \
+    BUDGET("pcm16_worst", 1700, 2800)                                                              \
     BUDGET("pcm16_packet_mean", 18000, 30000)                                                      \
     BUDGET("pcm16_packet_worst", 20000, 32000)                                                     \
     BUDGET("pcm16_per_second", 20000000, 32000000)                                                 \
@@ -26,13 +26,14 @@
     BUDGET("lossy_worst", 4200, 8500)                                                              \
     BUDGET("spectrum_mean", 9000, 56000)                                                           \
     BUDGET("spectrum_worst", 12000, 140000)                                                        \
-    BUDGET("spectrum_packet_mean", 32000, 82000)                                                   \
-    BUDGET("spectrum_packet_worst", 33000, 86000)                                                  \
+    BUDGET("spectrum_packet_mean", 35500, 86000)                                                   \
+    BUDGET("spectrum_packet_worst", 36000, 88000)                                                  \
     BUDGET("spectrum_per_second", 74000000, 450000000)                                             \
     BUDGET("guarded_mean", 13000, 60000)                                                           \
-    BUDGET("guarded_worst", 44000, 110000)                                                         \
+    BUDGET("guarded_worst", 16000, 70000)                                                          \
+    BUDGET("masked_worst", 3000, 4500)                                                             \
     BUDGET("stack", 1200, 1200)                                                                    \
-    BUDGET("ta_amplifier", 40000, 40000)                                                           \
+    BUDGET("ta_amplifier", 43000, 43000)                                                           \
     BUDGET("ta_serial", 1100, 1100)
 
 #endif

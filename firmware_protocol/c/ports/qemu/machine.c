@@ -6,6 +6,12 @@
 #define TIMER_VALUE (*(volatile uint32_t *)0x40000004u) /* CMSDK timer 0, which counts down */
 #define TIMER_RELOAD (*(volatile uint32_t *)0x40000008u)
 #define TIMER_CONTROL (*(volatile uint32_t *)0x40000000u)
+#define SYSTICK_CONTROL (*(volatile uint32_t *)0xE000E010u) /* it counts down at 25 MHz too */
+#define SYSTICK_RELOAD (*(volatile uint32_t *)0xE000E014u)
+#define SYSTICK_VALUE (*(volatile uint32_t *)0xE000E018u)
+#define SYSTICK_RUNS 7u
+#define INTERRUPT_CONTROL (*(volatile uint32_t *)0xE000ED04u)
+#define SYSTICK_CLEAR (1u << 25)
 #define PAINT 0xDEADBEEFu
 
 /* Semihosting (Arm, "Semihosting for AArch32 and AArch64"). */
@@ -40,6 +46,14 @@ static void fault(void)
     machine_exit(false);
 }
 
+static void (*interrupt)(void);
+
+static void systick(void)
+{
+    SYSTICK_CONTROL = 0;
+    interrupt();
+}
+
 /* The stack is painted from the end of the variables up to where it is in use already. */
 static void paint_stack(void)
 {
@@ -59,13 +73,13 @@ void reset(void)
 }
 
 /* Table of vectors of ARMv6-M and ARMv7-M: the stack, then the handlers of reset, of faults and of the
- * system, none of which is called by what runs here. */
+ * system, none of which is called by what runs here but that of SysTick. */
 static const struct {
     uint32_t *stack;
     void (*handlers[15])(void);
 } vectors __attribute__((section(".vectors"), used)) = {
     &stack_top,
-    {reset, fault, fault, fault, fault, fault, NULL, NULL, NULL, NULL, fault, NULL, NULL, fault, fault},
+    {reset, fault, fault, fault, fault, fault, NULL, NULL, NULL, NULL, fault, NULL, NULL, fault, systick},
 };
 
 void machine_begin(void)
@@ -79,6 +93,30 @@ uint32_t machine_instructions(void)
 {
     uint64_t periods = UINT32_MAX - TIMER_VALUE;
     return (uint32_t)((periods * 40u + 32u) / 64u);
+}
+
+void machine_interrupt_in(uint32_t instructions, void (*handler)(void))
+{
+    interrupt = handler;
+    SYSTICK_RELOAD = instructions * 64u / 40u + 1u;
+    SYSTICK_VALUE = 0;
+    SYSTICK_CONTROL = SYSTICK_RUNS;
+}
+
+void machine_interrupt_never(void)
+{
+    SYSTICK_CONTROL = 0;
+    INTERRUPT_CONTROL = SYSTICK_CLEAR;
+}
+
+void machine_mask(void)
+{
+    __asm__ volatile("cpsid i" ::: "memory");
+}
+
+void machine_unmask(void)
+{
+    __asm__ volatile("cpsie i" ::: "memory");
 }
 
 uint32_t machine_stack(void)

@@ -15,6 +15,16 @@ void machine_begin(void);
 #define MACHINE_COUNT_MASK 0x3FFFFFFu
 uint32_t machine_instructions(void);
 
+/* Calls `handler` as an interrupt after so many instructions, at most 10 million, once. */
+void machine_interrupt_in(uint32_t instructions, void (*handler)(void));
+
+/* Calls off an interrupt that has not come yet. */
+void machine_interrupt_never(void);
+
+/* Hold off that interrupt, and allow it again. */
+void machine_mask(void);
+void machine_unmask(void);
+
 /* Writes text to the standard output of QEMU. */
 void machine_print(const char *text);
 void machine_print_number(uint32_t value);

@@ -2,6 +2,9 @@
  *
  * Firmware has the struct of its own link only. It feeds what it receives to the link. To send, the
  * HAL's `send` calls ta_serial_send or ta_can_send, or ta_replies_push on a bus where the host reads.
+ *
+ * All of it belongs to the loop: no two calls may overlap. An interrupt in which the part answers reads of I2C
+ * is held off around what the loop calls, and one that receives puts bytes into a ring for the loop.
  */
 #ifndef TACTILE_LINK_H
 #define TACTILE_LINK_H

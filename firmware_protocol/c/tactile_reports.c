@@ -51,7 +51,7 @@ void ta_note_log(ta_amplifier *amp, uint8_t level, const char *text, uint8_t fau
 
 void ta_note_sense(ta_amplifier *amp)
 {
-    ta_report report = {.kind = TA_REPORT_SENSE, .position = amp->last_position};
+    ta_report report = {.kind = TA_REPORT_SENSE};
     note(amp, &report);
 }
 
@@ -65,7 +65,8 @@ void ta_note_correlation(ta_amplifier *amp)
 
 void ta_note_guarded(ta_amplifier *amp, uint32_t position)
 {
-    ta_report report = {.kind = TA_REPORT_GUARDED, .position = position};
+    ta_report report = {.kind = TA_REPORT_GUARDED};
+    report.of.guarded.position = position;
     for (size_t i = 0; i < amp->config.channels; i++) {
         uint8_t reason = amp->guard.guards[i].reason;
         if (reason != TP_GUARD_REASON_NONE) {
@@ -134,12 +135,12 @@ static void send_log(ta_amplifier *amp, const ta_report *report)
 }
 
 /* Measures channels first ... first + count - 1 and sends what it found. */
-static void send_sense(ta_amplifier *amp, uint32_t position, uint8_t first, uint8_t count)
+static void send_sense(ta_amplifier *amp, uint8_t first, uint8_t count)
 {
     uint8_t packet[TA_REPLY_MAX];
     uint8_t *readings = packet + TA_HEADER + TP_SENSE_SIZE;
     tp_sense m;
-    m.position = position;
+    m.position = amp->last_position;
     m.first_channel = first;
     m.channels = count;
     m.readings = NULL;
@@ -156,13 +157,13 @@ static void send_sense(ta_amplifier *amp, uint32_t position, uint8_t first, uint
 }
 
 /* All channels, in as few packets as the limit allows. */
-static void send_senses(ta_amplifier *amp, uint32_t position)
+static void send_senses(ta_amplifier *amp)
 {
     size_t most = (amp->config.packet_limit - TA_OVERHEAD - TP_SENSE_SIZE) / 4u;
     size_t channels = amp->config.channels;
     for (size_t first = 0; first < channels; first += most) {
         size_t count = channels - first < most ? channels - first : most;
-        send_sense(amp, position, (uint8_t)first, (uint8_t)count);
+        send_sense(amp, (uint8_t)first, (uint8_t)count);
     }
 }
 
@@ -208,7 +209,7 @@ static void send_guarded(ta_amplifier *amp, const ta_report *report)
     uint8_t packet[TA_OVERHEAD + TP_GUARDED_SIZE + TA_CHANNELS];
     uint8_t *reasons = packet + TA_HEADER + TP_GUARDED_SIZE;
     tp_guarded m;
-    m.position = report->position;
+    m.position = report->of.guarded.position;
     m.reasons = NULL;
     m.reasons_size = 0;
     size_t size = tp_guarded_encode(&m, packet + TA_HEADER, TP_GUARDED_SIZE);
@@ -234,7 +235,7 @@ static void send_report(ta_amplifier *amp, const ta_report *report)
         send_log(amp, report);
         break;
     case TA_REPORT_SENSE:
-        send_senses(amp, report->position);
+        send_senses(amp);
         break;
 #if TA_CORRELATES
     case TA_REPORT_CORRELATION:

@@ -20,10 +20,10 @@ typedef struct {
     uint8_t level;    /* of LOG, whose text is `text` or that of the fault with the number `fault` */
     uint8_t fault;
     const char *text;
-    uint32_t position; /* of GUARDED and SENSE */
     union {
         tp_pulse pulse;
         struct {
+            uint32_t position; /* first one with other gains */
             ta_set residual; /* channels that have tripped, by the reason */
             ta_set lost;
         } guarded;

@@ -42,7 +42,7 @@ def pipe(tmp_path_factory: pytest.TempPathFactory) -> Pipe:
     program = tmp_path_factory.mktemp("agreement") / "codec_pipe"
     sources = [
         C / "test/codec_pipe.c",
-        *(C / f"tactile_{n}.c" for n in ("packet", "fragment", "samples")),
+        *(C / f"tactile_{n}.c" for n in ("packet", "fragment", "samples", "encode")),
     ]
     for options in (SANITIZED, ()):
         command = [compiler, "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", *options]

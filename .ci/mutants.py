@@ -80,6 +80,7 @@ TESTS = {
     "c/tactile_config": "test_protocol_config test_c_amplifier",
     "c/tactile_link": AMPLIFIER,
     "c/tactile_player": AMPLIFIER,
+    "c/tactile_reports": AMPLIFIER,
 }
 """Tests that are to notice a fault in a module, the quickest first."""
 

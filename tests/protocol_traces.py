@@ -23,7 +23,7 @@ from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import State
 from firmware_protocol.packet import decode_packet, encode_packet
 
-PACKET, RUN, FAULT, INPUT = 3, 4, 5, 9
+PACKET, RUN, FAULT, INPUT, SWITCHED = 3, 4, 5, 9, 10
 SHORT = 1_000_001
 """Load of a channel that is shorted."""
 RECORD = Struct("<QBI")

@@ -18,6 +18,7 @@ from vectors_rig import (
     PROTOCOL,
     VECTORS,
     Instants,
+    Output,
     Vector,
     check_answers,
     check_last_pulse,
@@ -43,7 +44,6 @@ from firmware_protocol.i2c_link import I2cTarget, SmbusTarget
 from firmware_protocol.messages import MESSAGES
 from firmware_protocol.packet import LinkCounters, Packet, decode_packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
-from firmware_protocol.sources import Ints
 
 # The files
 
@@ -321,23 +321,6 @@ def played(amplifier: ReferenceAmplifier) -> Instants:
             state = int(run.state) if last else None
             instants[int(tick)] = position, state, codes.tolist()
     return instants
-
-
-class Output:
-    """Sensor of an amplifier that measures what it puts out, and no current."""
-
-    def __init__(self, channels: int) -> None:
-        self.last = np.zeros(channels, np.int64)
-
-    def measure(self, codes: Ints, rate: int) -> Ints:
-        self.last = codes[-1].copy()
-        return np.zeros_like(codes)
-
-    def readings(self) -> tuple[Ints, Ints]:
-        return self.last, np.zeros_like(self.last)
-
-    def choose(self, range_ua: int) -> None:
-        raise AssertionError(range_ua)
 
 
 @vectors("behavior")

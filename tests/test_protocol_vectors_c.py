@@ -1,30 +1,20 @@
 """The vectors of firmware_protocol, through the implementation in C."""
 
-import struct
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from behavior_rig import check_replayed, trace
 from c_amplifier_rig import compiler
+from protocol_traces import loaded, saved
 from vectors_rig import (
     COUNTERS,
     OPTIONS,
     PROTOCOL,
-    PULSE,
-    RECORD_FAULT,
-    RECORD_INPUT,
-    RECORD_PACKET,
-    RECORD_RUN,
-    RECORD_SWITCHED,
     VECTORS,
-    Instants,
     Vector,
-    check_answers,
-    check_last_pulse,
-    check_output,
-    check_pulses,
     config_of,
     framed,
     told,
@@ -33,7 +23,7 @@ from vectors_rig import (
 )
 
 from firmware_protocol.messages import MESSAGES
-from firmware_protocol.packet import Packet, decode_packet, encode_packet
+from firmware_protocol.packet import encode_packet
 
 
 def run(*command: str | Path, **options: Any) -> bytes:
@@ -284,37 +274,6 @@ def test_guard_in_c(vector: Vector, core: Core) -> None:
     assert reasons.split() == [str(reason) for reason in vector["reasons"]]
 
 
-def records(vector: Vector) -> bytes:
-    out = bytearray()
-    for step in vector["steps"]:
-        kind, data = RECORD_RUN, b""
-        if "packet" in step:
-            kind, data = RECORD_PACKET, bytes.fromhex(step["packet"])
-        elif "fault" in step:
-            kind, data = RECORD_FAULT, bytes([step["fault"]])
-        elif "input" in step:
-            kind, data = RECORD_INPUT, bytes([step["input"]])
-        out += struct.pack("<QBI", step["tick"], kind, len(data)) + data
-    return bytes(out)
-
-
-def split_sent(data: bytes) -> tuple[list[tuple[int, Packet]], list[tuple[int, int]]]:
-    """Return the packets, and how the high voltage was switched, both with their ticks."""
-    sent: list[tuple[int, Packet]] = []
-    switched: list[tuple[int, int]] = []
-    at = 0
-    while at < len(data):
-        tick, kind, size = struct.unpack_from("<QBI", data, at)
-        at += 13 + size
-        if kind == RECORD_SWITCHED:
-            switched.append((tick, data[at - 1]))
-            continue
-        packet = decode_packet(data[at - size : at])
-        assert packet is not None
-        sent.append((tick, packet))
-    return sent, switched
-
-
 @vectors("behavior")
 def test_behavior_in_c(vector: Vector, build: Path, tmp_path: Path) -> None:
     config = config_of(vector)
@@ -327,23 +286,6 @@ def test_behavior_in_c(vector: Vector, build: Path, tmp_path: Path) -> None:
     out, sent_file = tmp_path / "out", tmp_path / "sent"
     run(
         build / "virtual-amplifier", "--replay", "--link", "packet", "--out", out,
-        "--sent", sent_file, *options, input=records(vector),
+        "--sent", sent_file, *options, input=saved(trace(vector)),
     )  # fmt: skip
-    row = struct.Struct(f"<QIBB{config['channels']}h")
-    rows = list(row.iter_unpack(out.read_bytes()))
-    instants: Instants = {t: (n, s, list(codes)) for t, n, s, _, *codes in rows}
-    sent, switched = split_sent(sent_file.read_bytes())
-    since = -1
-    for step in vector["steps"]:
-        # steps are at different ticks, so what a step caused has its tick
-        new = [packet for tick, packet in sent if since < tick <= step["tick"]]
-        check_answers(step, new)
-        if vector["pulses"]:
-            check_pulses(step, new)
-            ticks = [t for t, p in sent if since < t <= step["tick"] and p.type == PULSE]
-            assert ticks == [p["tick"] for p in step["pulses"]], step
-        check_output(step, instants)
-        on = [0, *(on for tick, on in switched if tick <= step["tick"])][-1]
-        assert step.get("high_voltage", on) == on, step
-        since = step["tick"]
-    check_last_pulse(vector, (p for _, p in sent))
+    check_replayed(vector, out.read_bytes(), loaded(sent_file.read_bytes()))

@@ -5,10 +5,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from firmware_protocol.messages import MESSAGES
 from firmware_protocol.packet import Packet
+from firmware_protocol.sources import Ints
 
 PROTOCOL = Path(__file__).parents[1] / "firmware_protocol"
 FILES = (
@@ -28,7 +30,6 @@ OPTIONS = {
     "slew_limit_v_per_s": "slew-v-per-s", "fade_limit_us": "fade-us",
 }  # fmt: skip
 HEAD, ACK, PULSE = 4, 0x40, 0x45
-RECORD_PACKET, RECORD_RUN, RECORD_FAULT, RECORD_INPUT, RECORD_SWITCHED = 3, 4, 5, 9, 10
 
 Vector = dict[str, Any]
 
@@ -123,3 +124,20 @@ def check_last_pulse(vector: Vector, sent: Iterable[Packet]) -> None:
 def config_of(vector: Vector) -> dict[str, Any]:
     own: dict[str, Any] = vector["config"]
     return DEFAULTS | own
+
+
+class Output:
+    """Sensor of an amplifier that measures what it puts out, and no current."""
+
+    def __init__(self, channels: int) -> None:
+        self.last = np.zeros(channels, np.int64)
+
+    def measure(self, codes: Ints, rate: int) -> Ints:
+        self.last = codes[-1].copy()
+        return np.zeros_like(codes)
+
+    def readings(self) -> tuple[Ints, Ints]:
+        return self.last, np.zeros_like(self.last)
+
+    def choose(self, range_ua: int) -> None:
+        raise AssertionError(range_ua)

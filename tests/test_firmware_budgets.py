@@ -1,36 +1,19 @@
 """Tests of `make qemu`, which holds the core to its budgets on emulated microcontrollers."""
 
-import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
-
-SOURCE = Path(__file__).parents[1] / "firmware_protocol" / "c"
+from c_amplifier_rig import SOURCE
+from emulated_part import made, make
 
 pytestmark = pytest.mark.ci
 
 
-def make(source: Path, build: Path, *options: str, ci: bool = True) -> tuple[int, str]:
-    """Run `make qemu` and return its status and all that it printed."""
-    environment = {k: v for k, v in os.environ.items() if k != "CI"}
-    environment |= {"CI": "true"} if ci else {}
-    command = ["make", "-C", str(source / "ports" / "qemu"), f"BUILD={build}", *options]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
-
-
 @pytest.fixture(scope="module")
 def counts(tmp_path_factory: pytest.TempPathFactory) -> str:
-    status, text = make(SOURCE, tmp_path_factory.mktemp("qemu"))
-    if "skipped: there is no" in text:
-        if os.environ.get("CI") == "true":
-            pytest.fail(text)
-        pytest.skip(text)
-    assert status == 0, text
-    return text
+    return made(tmp_path_factory.mktemp("qemu"))
 
 
 def test_every_figure_has_a_budget_and_keeps_it(counts: str) -> None:
@@ -43,7 +26,7 @@ def test_every_figure_has_a_budget_and_keeps_it(counts: str) -> None:
 
 def test_counts_are_the_same_in_every_run(counts: str, tmp_path: Path) -> None:
     """Instructions are counted, not time: no other load of the machine changes them."""
-    _, again = make(SOURCE, tmp_path, "budget-m4")
+    _, again = make(tmp_path, "budget-m4")
     (first,) = re.findall(r"^cortex-m4\n((?:\w+ \d+ \d+\n)+)", counts, re.MULTILINE)[:1]
     assert first in again
 
@@ -54,7 +37,7 @@ def test_a_figure_above_its_budget_fails_and_is_named(counts: str, tmp_path: Pat
     budgets = source / "ports" / "qemu" / "budgets.h"
     text = budgets.read_text("utf-8")
     budgets.write_text(re.sub(r'("pcm16_worst", )\d+', r"\g<1>1000", text), "utf-8")
-    status, printed = make(source, tmp_path / "build", "budget-m4")
+    status, printed = make(tmp_path / "build", "budget-m4", source=source)
     assert status != 0
     assert re.search(r"^pcm16_worst \d+ 1000 over its budget$", printed, re.MULTILINE)
     assert printed.count("over its budget") == 1
@@ -62,16 +45,17 @@ def test_a_figure_above_its_budget_fails_and_is_named(counts: str, tmp_path: Pat
 
 @pytest.mark.parametrize("ci", [True, False])
 @pytest.mark.parametrize("tool", ["ARM=nosuch-", "QEMU=nosuch"])
+@pytest.mark.parametrize("target", ["all", "wire"])
 def test_a_missing_tool_is_a_failure_in_ci_and_a_skip_elsewhere(
-    tmp_path: Path, tool: str, ci: bool
+    tmp_path: Path, target: str, tool: str, ci: bool
 ) -> None:
-    status, printed = make(SOURCE, tmp_path, tool, ci=ci)
+    status, printed = make(tmp_path, target, tool, ci=ci)
     assert (status != 0) is ci
     assert "skipped: there is no nosuch" in printed
 
 
 def test_a_compiler_without_the_library_is_named(tmp_path: Path) -> None:
     """The compiler of the computer itself has no newlib."""
-    status, printed = make(SOURCE, tmp_path, "ARM=", ci=False)
+    status, printed = make(tmp_path, "ARM=", ci=False)
     assert status == 0
     assert "skipped: there is no newlib for gcc" in printed

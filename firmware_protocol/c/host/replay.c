@@ -78,7 +78,7 @@ static void feed(virtual_amplifier *v, uint8_t kind, const uint8_t *bytes, size_
 bool virtual_replay(virtual_amplifier *v, FILE *records)
 {
     static uint8_t bytes[LONGEST];
-    uint8_t head[13];
+    uint8_t head[RECORD_HEAD];
     size_t got;
     while ((got = fread(head, 1, sizeof head, records)) == sizeof head) {
         uint64_t tick = tp_get_le(head, sizeof head, 0, 8);

@@ -181,7 +181,7 @@ static bool hal_sense_range(void *context, uint16_t range_ua)
 
 void virtual_record(virtual_amplifier *v, uint8_t kind, const uint8_t *bytes, size_t size)
 {
-    uint8_t head[13];
+    uint8_t head[RECORD_HEAD];
     if (v->sent == NULL) {
         return;
     }

@@ -5,6 +5,7 @@
 #include <stdio.h>
 
 #include "../tactile_link.h"
+#include "records.h"
 
 #define VIRTUAL_OUT_BYTES 65536u /* of records that wait to be written, at most */
 #define VIRTUAL_ID_EXTENDED 0x80000000u /* of identifiers, as SocketCAN has them */
@@ -12,21 +13,6 @@
 #define VIRTUAL_LOAD_MAX 1000000u /* pF, of a channel's load */
 #define VIRTUAL_SHORT (VIRTUAL_LOAD_MAX + 1u)
 #define VIRTUAL_RANGES 8 /* of the current, at most */
-
-/* Of records, of what was fed and what was sent. */
-enum {
-    KIND_SERIAL = 0,
-    KIND_CAN = 1,
-    KIND_I2C_WRITE = 2,
-    KIND_PACKET = 3,
-    KIND_NOTHING = 4,
-    KIND_FAULT = 5,
-    KIND_I2C_READ = 6,
-    KIND_SMBUS_WRITE = 7,
-    KIND_SMBUS_READ = 8,
-    KIND_ESTOP_INPUT = 9,
-    KIND_HIGH_VOLTAGE = 10 /* of what was sent: the HAL has switched it */
-};
 
 typedef struct {
     ta_config config;

@@ -15,8 +15,11 @@
 #define PAINT 0xDEADBEEFu
 
 /* Semihosting (Arm, "Semihosting for AArch32 and AArch64"). */
+#define SYS_OPEN 1u
 #define SYS_WRITE0 4u
+#define SYS_WRITE 5u
 #define SYS_EXIT_EXTENDED 0x20u
+#define MODE_WB 5u
 #define STOPPED_RUN_TIME_ERROR 0x20023u
 #define STOPPED_APPLICATION_EXIT 0x20026u
 
@@ -25,17 +28,22 @@ extern uint32_t data_load, data_begin, data_end, bss_begin, bss_end, stack_top;
 int main(void);
 void reset(void);
 
-static void semihost(uint32_t operation, const void *argument)
+/* Interrupts; a program without uart.c has none. */
+void uart0_received(void) __attribute__((weak));
+void uart1_received(void) __attribute__((weak));
+
+static uint32_t semihost(uint32_t operation, const void *argument)
 {
     register uint32_t r0 __asm__("r0") = operation;
     register const void *r1 __asm__("r1") = argument;
     __asm__ volatile("bkpt 0xab" : "+r"(r0) : "r"(r1) : "memory");
+    return r0;
 }
 
 void machine_exit(bool good)
 {
     uint32_t block[2] = {STOPPED_APPLICATION_EXIT, good ? 0u : 1u};
-    semihost(SYS_EXIT_EXTENDED, block);
+    (void)semihost(SYS_EXIT_EXTENDED, block);
     for (;;) {
     }
 }
@@ -72,14 +80,16 @@ void reset(void)
     machine_exit(main() == 0);
 }
 
-/* Table of vectors of ARMv6-M and ARMv7-M: the stack, then the handlers of reset, of faults and of the
- * system, none of which is called by what runs here but that of SysTick. */
+/* Table of vectors of ARMv6-M and ARMv7-M: the stack, the handlers of reset, of faults and of the system, none of
+ * which is called by what runs here but that of SysTick, then those of the interrupts 0 to 2. */
 static const struct {
     uint32_t *stack;
     void (*handlers[15])(void);
+    void (*interrupts[3])(void);
 } vectors __attribute__((section(".vectors"), used)) = {
     &stack_top,
     {reset, fault, fault, fault, fault, fault, NULL, NULL, NULL, NULL, fault, NULL, NULL, fault, systick},
+    {uart0_received, NULL, uart1_received},
 };
 
 void machine_begin(void)
@@ -130,7 +140,33 @@ uint32_t machine_stack(void)
 
 void machine_print(const char *text)
 {
-    semihost(SYS_WRITE0, text);
+    (void)semihost(SYS_WRITE0, text);
+}
+
+uint32_t machine_open(const char *name)
+{
+    uint32_t block[3] = {(uint32_t)name, MODE_WB, (uint32_t)strlen(name)};
+    uint32_t file = semihost(SYS_OPEN, block);
+    if (file == UINT32_MAX) {
+        machine_print("cannot open the file\n");
+        machine_exit(false);
+    }
+    return file;
+}
+
+/* The computer may take a part of the bytes; it returns how many are left. */
+void machine_write(uint32_t file, const uint8_t *bytes, size_t size)
+{
+    while (size > 0) {
+        uint32_t block[3] = {file, (uint32_t)bytes, (uint32_t)size};
+        uint32_t left = semihost(SYS_WRITE, block);
+        if (left >= size) {
+            machine_print("cannot write to the file\n");
+            machine_exit(false);
+        }
+        bytes += size - left;
+        size = left;
+    }
 }
 
 void machine_print_number(uint32_t value)

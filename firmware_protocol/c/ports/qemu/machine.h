@@ -29,6 +29,10 @@ void machine_unmask(void);
 void machine_print(const char *text);
 void machine_print_number(uint32_t value);
 
+/* Opens a file of the computer for writing. */
+uint32_t machine_open(const char *name);
+void machine_write(uint32_t file, const uint8_t *bytes, size_t size);
+
 /* Ends QEMU. */
 void machine_exit(bool good);
 

@@ -43,6 +43,20 @@ def test_a_figure_above_its_budget_fails_and_is_named(counts: str, tmp_path: Pat
     assert printed.count("over its budget") == 1
 
 
+def test_a_row_that_is_kept_without_a_lock_is_noticed(counts: str, tmp_path: Path) -> None:
+    """Interrupts come anywhere: a set of channels that is joined in their midst loses a row."""
+    source = tmp_path / "c"
+    shutil.copytree(SOURCE, source)
+    actions = source / "tactile_actions.c"
+    text = actions.read_text("utf-8")
+    locked = "ta_lock(amp);\n            ta_player_keep_row"
+    assert locked in text
+    actions.write_text(text.replace(locked, "ta_player_keep_row"), "utf-8")
+    status, printed = make(tmp_path / "build", "contexts-m4", source=source)
+    assert status != 0
+    assert "pcm16, two contexts: other codes at the position" in printed
+
+
 @pytest.mark.parametrize("ci", [True, False])
 @pytest.mark.parametrize("tool", ["ARM=nosuch-", "QEMU=nosuch"])
 @pytest.mark.parametrize("target", ["all", "wire"])

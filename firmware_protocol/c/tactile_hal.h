@@ -50,7 +50,7 @@ typedef struct {
     void (*identify)(void *context, uint8_t seconds);
 
     /* Measures a channel: voltage as a sample code, current in microamperes. CAPS has the feature if
-     * this is not NULL. */
+     * this is not NULL. SENSE names the sample that is put out when the first of its channels is measured. */
     void (*sense)(void *context, uint8_t channel, int16_t *voltage, int16_t *current_ua);
 
     /* Gives the current codes of all channels at the instant that put_out was last called for, or

@@ -9,7 +9,7 @@
  *     PB0 ... 2   SYNC of each AD5672R, low while it is loaded
  *     PB3         LDAC of all of them: low latches what was loaded
  *     PB4         enable of the high-voltage supply, low at reset by a resistor
- *     PF1         e-stop input: the button SELECT of the evaluation board
+ *     PB5         e-stop input: the normally closed contact to ground, which QEMU leaves closed
  *
  * QEMU has neither the DACs nor the supply, and it does not run in time as a part does: it shows that the port
  * boots and answers, not that it is in time.
@@ -28,7 +28,7 @@
 #define SYNCS 0x07u
 #define LDAC 0x08u
 #define HIGH_VOLTAGE 0x10u
-#define ESTOP 0x02u
+#define ESTOP 0x20u
 #define PIXELS 0x80u
 
 TA_ASSERT(channels_of_dacs, TA_CHANNELS % AD5672R_CHANNELS == 0);
@@ -98,11 +98,10 @@ void board_high_voltage(bool on)
     GPIO_DATA(GPIOB, HIGH_VOLTAGE) = on ? HIGH_VOLTAGE : 0u;
 }
 
-/* A button of this board closes to ground when it is pressed. The contact of a real e-stop opens instead, so that
- * a broken wire stops as well: there the input is open while the pin is high. */
+/* The closed contact pulls the pin down; a broken wire leaves it up, and stops as well. */
 bool board_estop_open(void)
 {
-    return GPIO_DATA(GPIOF, ESTOP) == 0;
+    return GPIO_DATA(GPIOB, ESTOP) != 0;
 }
 
 /* Time */
@@ -163,19 +162,18 @@ PORT_INTERRUPTS = {[UART0_IRQ] = uart, [TIMER0_IRQ] = latch, [TIMER1_IRQ] = run}
  * as long as PC7 is high, and else for commands. */
 static void begin_pins(void)
 {
-    RCGC2 |= RCGC2_GPIOA | RCGC2_GPIOC | RCGC2_GPIOF;
+    RCGC2 |= RCGC2_GPIOA | RCGC2_GPIOC;
     (void)RCGC2;
     (void)RCGC2;
     GPIO_AFSEL(GPIOA) = 0x27; /* UART and SSI */
     GPIO_DEN(GPIOA) = 0x27;
     GPIO_DATA(GPIOB, SYNCS | LDAC) = SYNCS | LDAC;
     GPIO_DIR(GPIOB) |= SYNCS | LDAC;
-    GPIO_DEN(GPIOB) |= SYNCS | LDAC;
+    GPIO_PUR(GPIOB) = ESTOP;
+    GPIO_DEN(GPIOB) |= SYNCS | LDAC | ESTOP;
     GPIO_DIR(GPIOC) = PIXELS;
     GPIO_DEN(GPIOC) = PIXELS;
     GPIO_DATA(GPIOC, PIXELS) = PIXELS;
-    GPIO_PUR(GPIOF) = ESTOP;
-    GPIO_DEN(GPIOF) = ESTOP;
 }
 
 static void begin_timer(uint32_t timer)

@@ -1,0 +1,24 @@
+"""Print, as assembly, the CRC-32 that the boot ROM of the RP2040 expects after the second stage of boot."""
+
+import pathlib
+import sys
+
+POLYNOMIAL = 0x04C11DB7
+SIZE = 252
+
+
+def checksum(stage: bytes) -> int:
+    """Compute the CRC-32 of 2.8.1.3.1: most significant bit first, begun with all ones, not inverted."""
+    crc = 0xFFFFFFFF
+    for byte in stage:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = (crc << 1 ^ (POLYNOMIAL if crc & 1 << 31 else 0)) & 0xFFFFFFFF
+    return crc
+
+
+if __name__ == "__main__":
+    stage = pathlib.Path(sys.argv[1]).read_bytes()
+    if len(stage) != SIZE:
+        sys.exit(f"the second stage has {len(stage)} bytes, not {SIZE}")
+    print(f'    .section .boot2.crc, "a"\n    .4byte {checksum(stage):#010x}')

@@ -34,18 +34,23 @@ void port_put_out(void *context, uint64_t tick, uint32_t position, const int16_t
     port_pend(board.latch_irq);
 }
 
+/* Whether the outputs are to change; those of power-up are not known. */
+static bool moves(const instant *next)
+{
+    return latched == 0 || memcmp(next->codes, latest.codes, sizeof next->codes) != 0;
+}
+
 /* An instant that comes later than `lead` is late at the outputs as well, and those that follow it too: closer to
  * each other than they were due they would exceed the slew limit in volts per second (7.1, 11.1). Where
  * nothing changes there is no such limit, so that the outputs are in time again once they are at rest. */
 static void load(const instant *next)
 {
-    bool moves = memcmp(next->codes, latest.codes, sizeof next->codes) != 0;
     uint64_t apart = next->tick > latest.tick ? next->tick - latest.tick : 0;
     due = next->tick + board.lead;
-    if (moves && due < moved + apart) {
-        due = moved + apart;
+    if (moves(next)) {
+        due = due < moved + apart ? moved + apart : due;
+        board_load(next->codes);
     }
-    board_load(next->codes);
 }
 
 /* Whether the time of what is loaded has come; if not, the timer interrupts then. */
@@ -69,9 +74,7 @@ void port_latch(void)
             return;
         }
         board_latch();
-        if (memcmp(next->codes, latest.codes, sizeof next->codes) != 0) {
-            moved = port_ticks();
-        }
+        moved = moves(next) ? port_ticks() : moved;
         latest = *next;
         loaded = false;
         latched++;

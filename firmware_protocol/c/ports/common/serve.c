@@ -111,9 +111,8 @@ __attribute__((noreturn)) static void refuse(const ta_bounds *fault)
     if (fault->most != 0) {
         print(" is ");
         print_number(fault->value);
-        print(fault->value < fault->least ? ", but at least " : ", but at most ");
+        print(fault->value < fault->least ? ", and has to be at least " : ", and has to be at most ");
         print_number(fault->value < fault->least ? fault->least : fault->most);
-        print(" is allowed");
     } else {
         print(" is not allowed");
     }

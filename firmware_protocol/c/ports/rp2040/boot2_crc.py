@@ -1,4 +1,4 @@
-"""Print, as assembly, the CRC-32 that the boot ROM of the RP2040 expects after the second stage of boot."""
+"""Print the CRC-32 of the second stage of boot of the RP2040 as assembly."""
 
 import pathlib
 import sys
@@ -8,7 +8,10 @@ SIZE = 252
 
 
 def checksum(stage: bytes) -> int:
-    """Compute the CRC-32 of 2.8.1.3.1: most significant bit first, begun with all ones, not inverted."""
+    """Compute the CRC-32 that the boot ROM expects (RP2040 data sheet, 2.8.1.3.1).
+
+    The most significant bit comes first; it begins with all ones, and is not inverted.
+    """
     crc = 0xFFFFFFFF
     for byte in stage:
         crc ^= byte << 24

@@ -157,8 +157,8 @@ class Emulator:
         self.process.stdin.write(raw)
         self.process.stdin.flush()
 
-    def wait_for(self, *kinds: type[m.Message]) -> m.Message:
-        """Return the next message of one of these kinds."""
+    def wait_for(self, *kinds: type[m.Message]) -> m.Message | None:
+        """Return the next message of one of these kinds, None where its payload is too short."""
         ended = time.monotonic() + PATIENCE_S
         while time.monotonic() < ended:
             while self.packets:
@@ -174,7 +174,7 @@ class Emulator:
         while not (isinstance(pulse, m.Pulse) and pulse.state == state):
             pulse = self.wait_for(m.Pulse)
 
-    def ask(self, message: m.Message, answer: type[m.Message] = m.Ack) -> m.Message:
+    def ask(self, message: m.Message, answer: type[m.Message] = m.Ack) -> m.Message | None:
         """Send a request and return its answer."""
         self.send(encode_frame(encode_packet(Packet.of(message, node=1, ask=True))))
         return self.wait_for(answer, m.Nak)

@@ -268,6 +268,13 @@ def test_second_stage_of_boot_has_the_checksum_that_the_boot_rom_expects(
     assert any(stage[:252])
 
 
+def test_codes_and_delimiters_keep_their_times(tmp_path: Path) -> None:
+    """What the ports share is tested on this computer, whose compiler is `cc`."""
+    if shutil.which("cc") is None:
+        lack("there is no cc")
+    assert make(tmp_path, "check")[0] == 0
+
+
 @EMULATED
 def test_port_boots_and_tells_what_it_is(port: str, boot: Boot) -> None:
     emulator = boot(port)

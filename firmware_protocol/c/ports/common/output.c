@@ -1,5 +1,5 @@
 /* The queue between the core and the DACs. The core computes the codes of an instant when its time has come, or
- * later while it handles a packet. The timer latches them a constant time after the instant, `lead`, so that
+ * a little later where its interrupt is masked. The timer latches them a constant time after the instant, `lead`, so that
  * no lateness below that is to be seen at the outputs. */
 #include "port.h"
 

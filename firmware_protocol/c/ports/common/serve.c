@@ -45,11 +45,25 @@ static uint64_t clock(void *context)
     return port_ticks();
 }
 
+static void mask(void *context)
+{
+    (void)context;
+    port_mask(board.run_irq);
+}
+
+static void unmask(void *context)
+{
+    (void)context;
+    port_unmask(board.run_irq);
+}
+
 static const ta_hal hal = {
     .send = send,
     .put_out = port_put_out,
     .high_voltage = high_voltage,
     .estop_open = estop_open,
+    .mask = mask,
+    .unmask = unmask,
     .clock = clock,
 };
 
@@ -75,14 +89,14 @@ void port_estop_moved(void)
 
 /* The main loop */
 
-/* Hands bytes to the core. Calls of the core must not overlap, so that the interrupt of the instants waits
- * meanwhile; the latch goes on with what is queued. A packet may have changed the next instant. */
+/* Hands bytes to the core, which instants may interrupt but where it masks them. A packet may have changed the next
+ * instant. */
 static void handle(const uint8_t *bytes, size_t size, uint64_t tick)
 {
-    port_mask(board.run_irq);
     ta_serial_feed(&serial, bytes, size, tick);
+    mask(NULL);
     board_run_at(ta_next_instant(&amp));
-    port_unmask(board.run_irq);
+    unmask(NULL);
 }
 
 static void print(const char *text)
@@ -144,7 +158,9 @@ void port_serve(const ta_config *config)
         }
         if (size > 0) {
             handle(bytes, size, tick);
-        } else {
+        }
+        ta_serve(&amp); /* sends what the instants have to report */
+        if (size == 0) {
             port_sleep();
         }
     }

@@ -58,7 +58,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = UINT32_MAX,
-    .lead = TICK_HZ / 500u, /* 2 ms: a packet takes less */
+    .lead = TICK_HZ / 500u, /* 2 ms: no masked section is as long */
     .uart_irq = UART_IRQ,
     .latch_irq = TIMER0_IRQ,
     .run_irq = TIMER1_IRQ,

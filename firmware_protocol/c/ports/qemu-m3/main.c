@@ -58,7 +58,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = SYSTICK_MASK,
-    .lead = TICK_HZ / 2000u, /* 0.5 ms: a packet takes less */
+    .lead = TICK_HZ / 2000u, /* 0.5 ms: no masked section is as long */
     .uart_irq = UART0_IRQ,
     .latch_irq = TIMER0_IRQ,
     .run_irq = TIMER1_IRQ,

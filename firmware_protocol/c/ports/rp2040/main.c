@@ -57,7 +57,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = UINT32_MAX,
-    .lead = TICK_HZ / 1000u, /* 1 ms: a packet takes less */
+    .lead = TICK_HZ / 1000u, /* 1 ms: no masked section is as long */
     .uart_irq = UART0_IRQ,
     .latch_irq = TIMER_0_IRQ,
     .run_irq = TIMER_1_IRQ,

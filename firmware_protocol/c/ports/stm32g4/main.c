@@ -50,7 +50,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = UINT32_MAX,
-    .lead = TICK_HZ / 2000u, /* 0.5 ms: a packet takes less */
+    .lead = TICK_HZ / 2000u, /* 0.5 ms: no masked section is as long */
     .uart_irq = USART2_IRQ,
     .latch_irq = TIM2_IRQ,
     .run_irq = TIM6_IRQ,

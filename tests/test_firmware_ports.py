@@ -13,6 +13,7 @@ import socket
 import struct
 import subprocess
 import time
+import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,11 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.packet import Packet, encode_packet
 from firmware_protocol.serial_link import SerialDecoder, encode_frame
+from tactile import devices
+from tactile.bus.conform import conformance
+from tactile.bus.conform.scenarios import load_scenarios
 
+assert devices.KINDS  # registers the kinds
 PORTS = Path(__file__).parents[1] / "firmware_protocol" / "c" / "ports"
 SESSION = 0x1234
 PATIENCE_S = 120.0
@@ -338,6 +343,39 @@ def test_open_contact_forbids_high_voltage(port: str, boot: Boot) -> None:
     assert isinstance(emulator.ask(arm), m.Ack)
     emulator.move_contact(is_open=True)
     emulator.wait_for_state(m.State.ESTOP)
+
+
+@pytest.fixture
+def terminal(built: tuple[Path, str]) -> Iterator[str]:
+    """Boot the Cortex-M3 and return the path of its UART, which is kept open as QEMU demands."""
+    if shutil.which("qemu-system-arm") is None:
+        lack("there is no qemu-system-arm")
+    command = ["qemu-system-arm", "-M", MACHINES["qemu-m3"].name, "-display", "none"]
+    command += ["-monitor", "none", "-serial", "pty", "-kernel", str(built[0] / "qemu-m3.elf")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        path = process.stdout.readline().split()[4]
+        line = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(line)
+        poll = encode_frame(encode_packet(Packet.of(m.Poll(), node=1, ask=True)))
+        ended = time.monotonic() + PATIENCE_S
+        while not select.select([line], [], [], 0.2)[0] and time.monotonic() < ended:
+            os.write(line, poll)  # until QEMU notices that the terminal is open
+        yield path
+        os.close(line)
+        process.kill()
+
+
+@pytest.mark.realtime
+def test_vectors_pass_on_the_link(terminal: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {"state-hello-idle", "state-arm-idle", "state-arm-armed", "order-busy-version"}
+    chosen = [scenario for scenario in load_scenarios() if scenario.id in names]
+    monkeypatch.setattr(conformance, "load_scenarios", lambda: chosen)
+    with conformance.Conformance(f"serial://{terminal}") as test:
+        report = test.run()
+    assert {result.id: result.verdict for result in report.results} == dict.fromkeys(
+        names, "passed"
+    )
 
 
 def test_forbidden_configuration_does_not_start_and_is_named(boot: Boot, tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 /* The amplifier on an nRF51822 (Cortex-M0 at 16 MHz, 16 kB of RAM), the machine microbit of QEMU:
  *
- *     qemu-system-arm -M microbit -display none -serial tcp:localhost:5555,server=on,wait=off \
- *         -kernel build/qemu-m0.elf
- *     tactile conform serial:socket://localhost:5555
+ *     qemu-system-arm -M microbit -display none -monitor none -serial pty -kernel build/qemu-m0.elf
  *
  * It shows how small an amplifier can be: four channels at 2.5 kHz. What is wired to the BBC micro:bit, were it real:
  *

@@ -1,8 +1,6 @@
 /* The amplifier on an LM3S6965 (Cortex-M3, 64 kB of RAM), the machine lm3s6965evb of QEMU:
  *
- *     qemu-system-arm -M lm3s6965evb -display none -serial tcp:localhost:5555,server=on,wait=off \
- *         -kernel build/qemu-m3.elf
- *     tactile conform serial:socket://localhost:5555
+ *     qemu-system-arm -M lm3s6965evb -display none -monitor none -serial pty -kernel build/qemu-m3.elf
  *
  * What is wired to the part, were it real:
  *

@@ -1,8 +1,6 @@
 /* The amplifier on a Cortex-M4 of Arm's MPS2 board, the machine mps2-an386 of QEMU:
  *
- *     qemu-system-arm -M mps2-an386 -display none -serial tcp:localhost:5555,server=on,wait=off \
- *         -kernel build/qemu-m4.elf
- *     tactile conform serial:socket://localhost:5555
+ *     qemu-system-arm -M mps2-an386 -display none -monitor none -serial pty -kernel build/qemu-m4.elf
  *
  * What is wired to the part, were it real:
  *

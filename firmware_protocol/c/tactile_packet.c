@@ -15,6 +15,9 @@ static const uint32_t crc_table[16] = {
 uint32_t ta_crc32(const uint8_t *bytes, size_t size)
 {
     uint32_t crc = 0xFFFFFFFFu;
+    /*@ loop invariant size <= \at(size, Pre) && bytes == \at(bytes, Pre) + (\at(size, Pre) - size);
+        loop assigns size, bytes, crc;
+        loop variant size; */
     for (; size >= 4; size -= 4, bytes += 4) {
         crc ^= (uint32_t)bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 |
                (uint32_t)bytes[3] << 24;
@@ -27,6 +30,9 @@ uint32_t ta_crc32(const uint8_t *bytes, size_t size)
         CRC_STEP(crc);
         CRC_STEP(crc);
     }
+    /*@ loop invariant size <= \at(size, Pre) && bytes == \at(bytes, Pre) + (\at(size, Pre) - size);
+        loop assigns size, bytes, crc;
+        loop variant size; */
     for (; size > 0; size--) {
         crc ^= *bytes++;
         CRC_STEP(crc);
@@ -69,6 +75,10 @@ size_t ta_cobs_encode(const uint8_t *in, size_t size, uint8_t *out)
     size_t block = 0; /* where the code of the block goes */
     size_t to = 1;
     uint8_t code = 1;
+    /*@ loop invariant i <= size && to == block + code && 1 <= code && (i < size ==> code <= 254);
+        loop invariant 0 <= 254 * (to - 1 - i) <= i + 1 - code;
+        loop assigns i, block, to, code, out[0 .. TA_COBS_MAX(size) - 1];
+        loop variant size - i; */
     for (size_t i = 0; i < size; i++) {
         if (in[i] != 0) {
             out[to++] = in[i];
@@ -138,6 +148,9 @@ static size_t cobs_block(ta_cobs *cobs, const uint8_t *bytes, size_t size)
     most = most < room ? most : room;
     uint8_t *to = cobs->bytes + cobs->size;
     size_t count = 0;
+    /*@ loop invariant count < most;
+        loop assigns count, to[0 .. most - 1];
+        loop variant most - count; */
     do {
         uint8_t byte = bytes[count];
         if (byte == 0) {
@@ -154,6 +167,14 @@ size_t ta_cobs_feed(ta_cobs *cobs, const uint8_t *bytes, size_t size, ta_cobs_ev
 {
     size_t at = 0;
     *event = TA_COBS_MORE;
+    /*@ loop invariant at <= size;
+        loop invariant ta_cobs_holds(cobs);
+        loop invariant cobs->limit == \at(cobs->limit, Pre);
+        loop invariant TA_COBS_MORE <= *event <= TA_COBS_OVERSIZED;
+        loop invariant *event == TA_COBS_FRAME ==> cobs->frame <= cobs->limit;
+        loop invariant *event == TA_COBS_MORE || at > 0 || (*event == TA_COBS_OVERSIZED && cobs->skip);
+        loop assigns at, *event, *cobs;
+        loop variant size - at + (*event == TA_COBS_MORE ? 1 : 0); */
     while (at < size && *event == TA_COBS_MORE) {
         bool skipped = cobs->skip;
         if (bytes[at] == 0) {

@@ -47,6 +47,11 @@ typedef struct {
     bool skip;    /* too long: wait for the delimiter */
 } ta_cobs;
 
+/* Holds between any two calls; proof/packet.c relies on it. */
+/*@ predicate ta_cobs_holds(ta_cobs *c) =
+      c->size <= c->limit <= TA_PACKET_MAX && c->left <= 254 && (c->begun == 0 || c->begun == 1) &&
+      (c->zero == 0 || c->zero == 1) && (c->skip == 0 || c->skip == 1); */
+
 void ta_cobs_init(ta_cobs *cobs, size_t limit);
 
 /* Decodes bytes up to the first event, which may come with the last of them or not at all. Returns how many

@@ -146,7 +146,8 @@ void ta_fault(ta_amplifier *amp, uint8_t code, uint64_t now);
  * this call ta_run reads the input at each instant. */
 void ta_estop_input(ta_amplifier *amp, uint64_t now);
 
-/* Returns the tick of the next sample instant, to set a timer by. */
+/* Returns the tick of the next sample instant, to set a timer by. It belongs to the interrupt: the loop masks that
+ * around it. ARM and START move the next instant. */
 uint64_t ta_next_instant(const ta_amplifier *amp);
 
 #endif

@@ -95,7 +95,7 @@ static void spi_write(uint32_t word)
     while ((SPI1_SR & SPI_SR_TXE) == 0) {
     }
     SPI1_DR = (uint16_t)(word & 0xFFFu);
-    while ((SPI1_SR & SPI_SR_TXE) == 0 || (SPI1_SR & SPI_SR_BSY) != 0) {
+    while ((SPI1_SR & (SPI_SR_FTLVL | SPI_SR_BSY)) != 0) { /* TXE is set while a frame still waits */
     }
 }
 

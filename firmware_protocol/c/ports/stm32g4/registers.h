@@ -136,6 +136,7 @@ typedef struct {
 #define SPI_CR2_12_BITS (11u << 8)
 #define SPI_SR_TXE (1u << 1)
 #define SPI_SR_BSY (1u << 7)
+#define SPI_SR_FTLVL (3u << 11) /* frames in the FIFO */
 
 /* 42.4: independent watchdog, by its own clock of 32 kHz */
 #define IWDG_KR PORT_REGISTER(0x40003000u)

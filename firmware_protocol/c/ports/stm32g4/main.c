@@ -203,10 +203,12 @@ PORT_INTERRUPTS = {
 /* Start */
 
 /* 150 MHz from the internal 16 MHz, the most that needs no boost of the core's voltage. The clock of the bus is
- * halved for the moment of the step (7.2.7). A board with a crystal takes that instead. */
+ * halved for the moment of the step. A board with a crystal takes that instead. */
 static void begin_clock(void)
 {
-    FLASH_ACR = (FLASH_ACR & ~FLASH_ACR_LATENCY) | 4u | FLASH_ACR_PRFTEN;
+    FLASH_ACR = (FLASH_ACR & ~FLASH_ACR_LATENCY) | FLASH_ACR_LATENCY_4 | FLASH_ACR_PRFTEN;
+    while ((FLASH_ACR & FLASH_ACR_LATENCY) != FLASH_ACR_LATENCY_4) {
+    }
     RCC_PLLCFGR = RCC_PLLCFGR_HSI | RCC_PLLCFGR_M(4u) | RCC_PLLCFGR_N(75u) | RCC_PLLCFGR_REN;
     RCC_CR |= RCC_CR_PLLON;
     while ((RCC_CR & RCC_CR_PLLRDY) == 0) {

@@ -7,6 +7,7 @@
 /* 3.7: flash */
 #define FLASH_ACR PORT_REGISTER(0x40022000u)
 #define FLASH_ACR_LATENCY 0x0Fu
+#define FLASH_ACR_LATENCY_4 4u /* wait states: one for each 30 MHz above the first, without boost */
 #define FLASH_ACR_PRFTEN (1u << 8)
 
 /* 7.4: clocks */

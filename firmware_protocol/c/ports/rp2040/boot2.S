@@ -2,7 +2,8 @@
  * flash has, and jumps to the program. The boot ROM runs it in RAM, wherever that is.
  *
  * 03h is slow: 64 bits of the SPI at 31 MHz for each word that is not in the cache of 16 kB. A board whose flash is
- * known reads it by four lines instead. */
+ * known reads it by four lines instead. The registers were checked against hardware/regs/ssi.h and
+ * boot2_generic_03h.S of the pico-sdk. */
     .syntax unified
     .cpu cortex-m0plus
     .thumb

@@ -197,6 +197,7 @@ static void begin_clock(void)
     WATCHDOG_TICK = WATCHDOG_TICK_ENABLE | CRYSTAL_HZ / TICK_HZ;
 }
 
+/* Without the bits PAUSE_DBG, which are set at reset: a debugger that halts the program stops the outputs as well. */
 static void begin_watchdog(void)
 {
     PSM_WDSEL = PSM_ALL_BUT_OSCILLATORS;

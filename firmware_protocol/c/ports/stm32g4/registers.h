@@ -1,16 +1,20 @@
-/* Registers of the STM32G474 (ST, RM0440), as far as the port needs them. */
+/* Registers of the STM32G474 (ST, RM0440), as far as the port needs them. Addresses, bits and numbers of interrupts
+ * were checked against stm32g474xx.h of ST's cmsis-device-g4; the clock, the SPI and the FIFO of the USART against
+ * stm32g4xx_ll_utils.c, stm32g4xx_hal_spi.c and stm32g4xx_hal_uart_ex.c of its stm32g4xx-hal-driver; the alternate
+ * functions, in main.c, against stm32g474r(b-c-e)tx-pinctrl.dtsi of Zephyr's hal_stm32. The wait states of the flash
+ * are those of RM0440 for range 1 without boost, which ST's LL_SetFlashLatency exceeds: it takes 7 at 150 MHz. */
 #ifndef REGISTERS_H
 #define REGISTERS_H
 
 #include "port.h"
 
-/* 3.7: flash */
+/* Flash */
 #define FLASH_ACR PORT_REGISTER(0x40022000u)
 #define FLASH_ACR_LATENCY 0x0Fu
 #define FLASH_ACR_LATENCY_4 4u /* wait states: one for each 30 MHz above the first, without boost */
 #define FLASH_ACR_PRFTEN (1u << 8)
 
-/* 7.4: clocks */
+/* Clocks */
 #define RCC_CR PORT_REGISTER(0x40021000u)
 #define RCC_CR_PLLON (1u << 24)
 #define RCC_CR_PLLRDY (1u << 25)
@@ -35,7 +39,7 @@
 #define RCC_APB2ENR_SYSCFG (1u << 0)
 #define RCC_APB2ENR_SPI1 (1u << 12)
 
-/* 9.4: GPIO */
+/* GPIO */
 typedef struct {
     volatile uint32_t moder;
     volatile uint32_t otyper;
@@ -56,14 +60,14 @@ typedef struct {
 #define GPIO_PULL_UP 1u
 #define GPIO_FAST 2u
 
-/* 10.2 and 15.5: interrupts of pins */
+/* Interrupts of pins */
 #define SYSCFG_EXTICR1 PORT_REGISTER(0x40010008u)
 #define SYSCFG_EXTICR1_PB1 (1u << 4)
 #define EXTI_IMR1 PORT_REGISTER(0x40010400u)
 #define EXTI_RTSR1 PORT_REGISTER(0x40010408u)
 #define EXTI_PR1 PORT_REGISTER(0x40010414u)
 
-/* 30.5 and 32.4: timers, TIM2 of 32 bits and the basic TIM6 of 16 */
+/* Timers, TIM2 of 32 bits and the basic TIM6 of 16 */
 typedef struct {
     volatile uint32_t cr1;
     volatile uint32_t cr2;
@@ -96,7 +100,7 @@ typedef struct {
 #define TIM_CCER_CC1E (1u << 0)
 #define TIM_CCER_CC1P (1u << 1) /* active is low */
 
-/* 37.8: USART */
+/* USART */
 typedef struct {
     volatile uint32_t cr1;
     volatile uint32_t cr2;
@@ -122,7 +126,7 @@ typedef struct {
 #define USART_ISR_TXFNF (1u << 7)
 #define USART_ICR_ERRORS 0x0Fu /* parity, framing, noise, overrun */
 
-/* 39.6: SPI; the data register is accessed by 16 bits where a frame has 9 ... 16 */
+/* SPI; the data register is accessed by 16 bits where a frame has 9 ... 16 */
 #define SPI1_CR1 PORT_REGISTER(0x40013000u)
 #define SPI1_CR2 PORT_REGISTER(0x40013004u)
 #define SPI1_SR PORT_REGISTER(0x40013008u)
@@ -139,7 +143,7 @@ typedef struct {
 #define SPI_SR_BSY (1u << 7)
 #define SPI_SR_FTLVL (3u << 11) /* frames in the FIFO */
 
-/* 42.4: independent watchdog, by its own clock of 32 kHz */
+/* Independent watchdog, by its own clock of 32 kHz */
 #define IWDG_KR PORT_REGISTER(0x40003000u)
 #define IWDG_KR_START 0xCCCCu
 #define IWDG_KR_ACCESS 0x5555u
@@ -148,7 +152,7 @@ typedef struct {
 #define IWDG_PR_8 1u
 #define IWDG_RLR PORT_REGISTER(0x40003008u)
 
-/* 14.3: numbers of interrupts */
+/* Numbers of interrupts */
 #define EXTI1_IRQ 7u
 #define TIM2_IRQ 28u
 #define USART2_IRQ 38u

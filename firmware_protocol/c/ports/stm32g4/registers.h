@@ -1,8 +1,7 @@
 /* Registers of the STM32G474 (ST, RM0440), as far as the port needs them. Addresses, bits and numbers of interrupts
  * were checked against stm32g474xx.h of ST's cmsis-device-g4; the clock, the SPI and the FIFO of the USART against
- * stm32g4xx_ll_utils.c, stm32g4xx_hal_spi.c and stm32g4xx_hal_uart_ex.c of its stm32g4xx-hal-driver; the alternate
- * functions, in main.c, against stm32g474r(b-c-e)tx-pinctrl.dtsi of Zephyr's hal_stm32. The wait states of the flash
- * are those of RM0440 for range 1 without boost, which ST's LL_SetFlashLatency exceeds: it takes 7 at 150 MHz. */
+ * stm32g4xx_hal_rcc.c, stm32g4xx_hal_spi.c and stm32g4xx_hal_uart_ex.c of its stm32g4xx-hal-driver; the alternate
+ * functions, in main.c, against stm32g474r(b-c-e)tx-pinctrl.dtsi of Zephyr's hal_stm32. */
 #ifndef REGISTERS_H
 #define REGISTERS_H
 
@@ -11,7 +10,7 @@
 /* Flash */
 #define FLASH_ACR PORT_REGISTER(0x40022000u)
 #define FLASH_ACR_LATENCY 0x0Fu
-#define FLASH_ACR_LATENCY_4 4u /* wait states: one for each 30 MHz above the first, without boost */
+#define FLASH_ACR_LATENCY_4 4u /* wait states: up to 150 MHz without boost */
 #define FLASH_ACR_PRFTEN (1u << 8)
 
 /* Clocks */

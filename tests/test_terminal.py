@@ -475,7 +475,9 @@ def test_empty_blocks_and_what_is_not_finite_are_endured() -> None:
     drawn(picture)
 
 
-def test_live_draws_it() -> None:
+def test_live_draws_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw twice on a terminal that can; rich draws once where TERM is dumb."""
+    monkeypatch.setenv("TERM", "xterm")
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=100, height=30, color_system="truecolor")
     picture = shown(LARGE, shear_um=np.linspace(-3, 3, 64))

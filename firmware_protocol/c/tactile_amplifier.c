@@ -157,6 +157,16 @@ static void correlate(ta_amplifier *amp, uint32_t position, bool come)
     }
 }
 
+/* An instant that is skipped ends the window, since nobody has measured its currents. */
+static void skip_correlation(ta_amplifier *amp)
+{
+    if (ta_correlates(amp)) {
+        ta_correlator_stop(&amp->correlator);
+        (void)ta_correlator_played(&amp->correlator, amp->player.codes);
+        ta_guard_skip(&amp->guard);
+    }
+}
+
 /* The gains of the guards at this instant. */
 static void move_guards(ta_amplifier *amp)
 {
@@ -188,6 +198,11 @@ static void correlate(ta_amplifier *amp, uint32_t position, bool come)
     (void)amp;
     (void)position;
     (void)come;
+}
+
+static void skip_correlation(ta_amplifier *amp)
+{
+    (void)amp;
 }
 
 static void move_guards(ta_amplifier *amp)
@@ -362,14 +377,19 @@ uint64_t ta_next_instant(const ta_amplifier *amp)
     return start_is_next(amp) ? amp->start_tick : amp->next;
 }
 
-static void advance_clock(ta_amplifier *amp)
+/* Takes the next instant, and returns its tick. */
+static uint64_t take_instant(ta_amplifier *amp)
 {
+    uint64_t tick = ta_next_instant(amp);
     if (start_is_next(amp)) {
         amp->start_pending = false;
         set_base(amp, amp->start_tick);
     } else {
         next_period(amp);
     }
+    amp->last_tick = tick;
+    amp->last_position = amp->player.position;
+    return tick;
 }
 
 /* Actions at an instant */
@@ -405,7 +425,6 @@ static void put_out(ta_amplifier *amp, uint64_t tick)
     ta_player *p = &amp->player;
     move_guards(amp);
     ta_player_instant(p, amp->state, !amp->start_pending);
-    amp->last_position = p->position;
     amp->hal.put_out(amp->hal.context, tick, p->position, p->codes);
     correlate(amp, p->position, !amp->start_pending);
     ta_player_move(p, amp->start_pending);
@@ -422,9 +441,7 @@ static void end_rampdown(ta_amplifier *amp)
 
 static void instant(ta_amplifier *amp)
 {
-    uint64_t tick = ta_next_instant(amp);
-    advance_clock(amp);
-    amp->last_tick = tick;
+    uint64_t tick = take_instant(amp);
     read_input(amp, tick);
     watch(amp, tick);
     pulse_if_due(amp, tick);
@@ -439,10 +456,23 @@ static void instant(ta_amplifier *amp)
     }
 }
 
+/* The codes of this instant can no longer be put out in time. */
+static void skip(ta_amplifier *amp)
+{
+    (void)take_instant(amp);
+    skip_correlation(amp);
+    ta_player_skip(&amp->player, amp->state, amp->start_pending);
+}
+
 void ta_run(ta_amplifier *amp, uint64_t now)
 {
+    const uint32_t lateness = amp->config.lateness;
     while (ta_next_instant(amp) <= now) {
-        instant(amp);
+        if (lateness != 0 && now - ta_next_instant(amp) > lateness) {
+            skip(amp);
+        } else {
+            instant(amp);
+        }
     }
 }
 

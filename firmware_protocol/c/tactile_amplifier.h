@@ -28,6 +28,7 @@ typedef struct {
     uint16_t fifo_samples; /* at most TA_FIFO, and 64 ms at rate_max_hz at least */
     uint16_t sense_range_ua; /* of the current at power-up, not 0 where the HAL has `currents` */
     uint8_t current_delay;   /* instants by which its codes are late, at most TA_CURRENT_DELAY */
+    uint32_t lateness; /* ticks by which an instant may be late; 0: any. Later ones are skipped (7.1) */
     uint32_t tick_hz;     /* 10 x rate_max_hz at least */
     uint32_t rate_min_hz; /* at least 1 kHz */
     uint32_t rate_max_hz; /* at most 1 MHz */
@@ -124,7 +125,8 @@ const char *ta_config_fault(const ta_config *config, const ta_hal *hal, ta_bound
 /* Powers up at tick 0. Returns false, and does nothing, where ta_config_fault names a field. */
 bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal);
 
-/* Carries out all sample instants up to and including `now`. */
+/* Carries out all sample instants up to and including `now`, or skips those that are later than the configuration
+ * allows. */
 void ta_run(ta_amplifier *amp, uint64_t now);
 
 /* Sends what the instants have noted: PULSE, LOG, SENSE, CORRELATION and GUARDED. The loop of firmware of two

@@ -166,6 +166,13 @@ static void remember(ta_guarded *u, int16_t current)
     u->currents[0] = current == INT16_MIN ? -INT16_MAX : current;
 }
 
+void ta_guard_skip(ta_guard *g)
+{
+    for (size_t i = 0; i < g->channels; i++) {
+        remember(&g->guards[i], 0);
+    }
+}
+
 bool ta_guard_add(ta_guard *g, const ta_correlator *c, const int16_t *currents)
 {
     bool over = g->left == 1;

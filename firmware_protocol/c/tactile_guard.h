@@ -74,4 +74,7 @@ bool ta_guard_move(ta_guard *g, int32_t *gains);
  * channel has tripped or was released. */
 bool ta_guard_add(ta_guard *g, const ta_correlator *c, const int16_t *currents);
 
+/* Goes on by an instant that was skipped: the codes stayed, so that no current flowed. */
+void ta_guard_skip(ta_guard *g);
+
 #endif

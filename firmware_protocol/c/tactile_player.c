@@ -202,13 +202,19 @@ static void stop_envelopes(ta_player *p)
     }
 }
 
-/* An underrun. Bridges are given up; envelopes still come to this position (next_spectrum). */
-static void starve(ta_player *p)
+/* Values stay from here on; bridges are given up. */
+static void stop_values(ta_player *p)
 {
     p->phase = TP_PHASE_STARVED;
+    memset(&p->bridging, 0, sizeof p->bridging);
+}
+
+/* An underrun. Envelopes still come to this position (next_spectrum). */
+static void starve(ta_player *p)
+{
+    stop_values(p);
     p->starving = true;
     p->counters->underruns++;
-    memset(&p->bridging, 0, sizeof p->bridging);
 }
 
 /* RUNNING: the phase of this instant, and with it the gain where it begins at full: at the position of
@@ -433,4 +439,17 @@ void ta_player_move(ta_player *p, bool hold)
     p->head = (uint16_t)row(p, 1);
     p->fill = (uint16_t)(p->fill > 0 ? p->fill - 1 : 0);
     p->position++;
+}
+
+void ta_player_skip(ta_player *p, uint8_t state, bool hold)
+{
+    const uint32_t runs = state == TP_STATE_RUNNING ? 1u : 0u;
+    if (p->phase == TP_PHASE_PLAYING) {
+        stop_values(p);
+        p->counters->underruns += runs;
+    }
+    if (p->phase == TP_PHASE_STARVED) {
+        p->counters->lost_samples += runs;
+    }
+    ta_player_move(p, hold);
 }

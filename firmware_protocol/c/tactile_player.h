@@ -85,4 +85,8 @@ void ta_player_instant(ta_player *p, uint8_t state, bool come);
 /* Goes on to the next position after an instant; `hold` keeps the position while START is pending. */
 void ta_player_move(ta_player *p, bool hold);
 
+/* Goes on to the next position without carrying out the instant: the codes stay, and what played is in an
+ * underrun (7.1). */
+void ta_player_skip(ta_player *p, uint8_t state, bool hold);
+
 #endif

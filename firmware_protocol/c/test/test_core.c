@@ -420,6 +420,94 @@ static void test_player(void)
     }
 }
 
+/* A channel that plays 1000 for 40 samples, from position 100 on, with a fade of four samples. */
+static void play_constant(ta_player *p, ta_counters *counters)
+{
+    static uint8_t data[2 * 40];
+    ta_samples s = {TP_SAMPLE_FORMAT_PCM16, 1, 40, data};
+    for (size_t i = 0; i < 40; i++) {
+        tp_put_le(data + 2 * i, 1000, 2);
+    }
+    ta_player_init(p, counters, 1, 64);
+    p->rate = 8000;
+    p->limit = 32767;
+    p->step = 65534;
+    p->gain_full = 4;
+    ta_player_clear(p);
+    ta_player_start(p, 100);
+    keep(p, 100, 0, &s);
+}
+
+static void check_fade(ta_player *p, uint8_t state, const int16_t *codes, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        ta_player_instant(p, state, true);
+        CHECK(p->codes[0] == codes[i]);
+        ta_player_move(p, false);
+    }
+}
+
+/* 7.1: ten instants that are skipped are an underrun of ten samples, from which it fades out and in. */
+static void test_skipped_samples(void)
+{
+    static ta_player p;
+    static const int16_t fades[] = {750, 500, 250, 0, 250, 500, 750, 1000, 1000};
+    static const int16_t plays[] = {1000, 1000};
+    ta_counters counters = {0};
+    play_constant(&p, &counters);
+    check_fade(&p, TP_STATE_RUNNING, plays, 2);
+    for (size_t i = 0; i < 10; i++) {
+        ta_player_skip(&p, TP_STATE_RUNNING, false);
+        CHECK(p.codes[0] == 1000);
+    }
+    CHECK(p.position == 112 && counters.underruns == 1 && counters.lost_samples == 10);
+    check_fade(&p, TP_STATE_RUNNING, fades, 9);
+    CHECK(counters.underruns == 1 && counters.lost_samples == 14);
+    CHECK(counters.late_samples + counters.future_samples + counters.limited_samples == 0);
+    play_constant(&p, &counters);
+    check_fade(&p, TP_STATE_RUNNING, plays, 2);
+    ta_player_skip(&p, TP_STATE_RAMPDOWN, false);
+    check_fade(&p, TP_STATE_RAMPDOWN, fades, 4);
+    CHECK(counters.underruns == 1 && counters.lost_samples == 14); /* of RUNNING alone */
+    play_constant(&p, &counters);
+    ta_player_skip(&p, TP_STATE_RUNNING, true); /* before T the position stays, and all begins as if in time */
+    check_fade(&p, TP_STATE_RUNNING, plays, 2);
+    CHECK(counters.underruns == 1 && counters.lost_samples == 14);
+}
+
+/* 10.3: the envelope on its way to a frame stays where it is, however many positions are skipped. */
+static void test_skipped_frames(void)
+{
+    static ta_player p;
+    ta_counters counters = {0};
+    ta_player_init(&p, &counters, 1, 64);
+    p.rate = 8000;
+    p.limit = 32767;
+    p.step = 65534;
+    p.gain_full = 4;
+    p.carriers = 1;
+    p.mode = TP_MODE_SPECTRUM;
+    ta_player_clear(&p);
+    ta_player_start(&p, 0);
+    ta_frame *frame = ta_player_frame(&p, 0, 10);
+    static const uint8_t loud[] = {255, 0};
+    ta_frame_decode(frame, 100, loud, 1);
+    ta_player_keep_frame(&p, 0, frame);
+    for (uint32_t n = 0; n < 5; n++) {
+        ta_player_instant(&p, TP_STATE_RUNNING, true);
+        ta_player_move(&p, false);
+    }
+    int32_t envelope = p.kept.envelopes[0].present[0].i;
+    CHECK(envelope == ta_phasor_decode(255, 0).i / 10 * 4);
+    for (uint32_t n = 0; n < 20; n++) {
+        ta_player_skip(&p, TP_STATE_RUNNING, false);
+    }
+    int16_t before = p.codes[0];
+    ta_player_instant(&p, TP_STATE_RUNNING, true);
+    CHECK(p.kept.envelopes[0].present[0].i == envelope && p.codes[0] == before * 3 / 4);
+    CHECK(p.phase == TP_PHASE_STARVED && counters.underruns == 1 && counters.lost_samples == 21);
+}
+
 /* Who never calls ta_estop_input has the contact read at each instant (6.3), and a contact that bounces
  * counts as open until it has been closed for 50 ms. */
 static void test_input_is_read_at_instants(void)
@@ -481,6 +569,74 @@ static ta_config good_config(void)
     good.slew_limit_v_per_s = 5104; /* 656 codes a sample at 2549 Hz, 50 samples; 655 at 5103 */
     good.fade_limit_us = 20000;
     return good;
+}
+
+/* What an amplifier puts out, and when. */
+static uint32_t put_outs;
+static uint64_t first_put_out;
+
+static void count_put_out(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
+{
+    (void)context;
+    (void)position;
+    (void)codes;
+    first_put_out = put_outs++ == 0 ? tick : first_put_out;
+}
+
+/* Amplifiers that skip have the same clock as one that is in time: by a tick and a rate that have no common
+ * divisor, and beyond a START. */
+static void test_skipping_keeps_the_clock(void)
+{
+    static ta_amplifier in_time;
+    static ta_amplifier late;
+    bool open = false;
+    ta_hal hal = board_hal(&open);
+    ta_config config = good_config();
+    config.tick_hz = 1000003;
+    CHECK(ta_init(&in_time, &config, &hal));
+    hal.put_out = count_put_out;
+    config.lateness = 300;
+    CHECK(ta_init(&late, &config, &hal));
+    ta_amplifier *both[] = {&in_time, &late};
+    for (size_t i = 0; i < 2; i++) {
+        ta_run(both[i], 1000);
+        both[i]->state = TP_STATE_RUNNING;
+        both[i]->start_pending = true;
+        both[i]->start_tick = 5001;
+        ta_player_start(&both[i]->player, 77);
+    }
+    put_outs = 0;
+    ta_run(&in_time, 400001);
+    ta_run(&late, 400001); /* 5001 + floor(3159 x 1000003 / 8000) is 399877 */
+    CHECK(put_outs == 2 && first_put_out == 399752);
+    CHECK(late.next == in_time.next && late.remainder == in_time.remainder);
+    CHECK(late.last_tick == in_time.last_tick && late.last_position == in_time.last_position);
+    CHECK(late.player.position == in_time.player.position && !late.start_pending);
+    put_outs = 0;
+    ta_run(&late, late.next + 300); /* as late as it may be */
+    CHECK(put_outs == 3 && first_put_out == in_time.next);
+}
+
+/* 16: no window has a position whose current was not measured. */
+static void test_skipping_ends_the_window(void)
+{
+    static ta_amplifier amp;
+    bool open = false;
+    ta_hal hal = board_hal(&open);
+    ta_config config = good_config();
+    hal.put_out = count_put_out;
+    hal.currents = board_currents;
+    config.sense_range_ua = 2500;
+    config.lateness = 300;
+    CHECK(ta_init(&amp, &config, &hal));
+    amp.state = TP_STATE_RUNNING;
+    amp.correlation_ms = 10;
+    ta_run(&amp, 300);
+    const ta_window *window = &amp.correlator.windows[amp.correlator.open];
+    CHECK(window->position == 0 && amp.correlator.left == 80 - 2);
+    put_outs = 0;
+    ta_run(&amp, 5000);
+    CHECK(put_outs == 3 && window->position == amp.last_position - 2 && amp.correlator.left == 80 - 3);
 }
 
 static void mask_nothing(void *context)
@@ -666,10 +822,14 @@ int main(void)
     test_samples();
     test_bfp8();
     test_player();
+    test_skipped_samples();
+    test_skipped_frames();
     test_correlator();
     test_configuration();
     test_configuration_of_the_board();
     test_replies();
     test_input_is_read_at_instants();
+    test_skipping_keeps_the_clock();
+    test_skipping_ends_the_window();
     return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
 }

@@ -19,6 +19,7 @@
 #include "ad5672r.h"
 
 #define TICK_HZ 1000000u
+#define LEAD (TICK_HZ / 500u) /* 2 ms from an instant to its latch: no masked section is as long */
 #define PRESCALER 4u /* 16 MHz / 2^4 */
 
 #define SYNC (1u << 16)
@@ -43,6 +44,7 @@ static const ta_config config = {
     .formats = 0x07,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 1000,
     .rate_max_hz = 2500,
@@ -56,7 +58,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = UINT32_MAX,
-    .lead = TICK_HZ / 500u, /* 2 ms: no masked section is as long */
+    .lead = LEAD,
     .uart_irq = UART_IRQ,
     .latch_irq = TIMER0_IRQ,
     .run_irq = TIMER1_IRQ,

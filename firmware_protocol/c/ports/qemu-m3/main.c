@@ -21,6 +21,7 @@
 /* The clock after reset. It is slow on purpose: SysTick, the only counter of this part that QEMU lets us read, has
  * 24 bits, and goes round in 1.3 s. An emulator that stood still for longer would lose time. */
 #define TICK_HZ 12500000u
+#define LEAD (TICK_HZ / 2000u) /* 0.5 ms from an instant to its latch: no masked section is as long */
 #define BIT_RATE 1000000u
 #define DACS (TA_CHANNELS / AD5672R_CHANNELS)
 
@@ -43,6 +44,7 @@ static const ta_config config = {
     .formats = 0x0F,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
     .rate_max_hz = 8000,
@@ -56,7 +58,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = SYSTICK_MASK,
-    .lead = TICK_HZ / 2000u, /* 0.5 ms: no masked section is as long */
+    .lead = LEAD,
     .uart_irq = UART0_IRQ,
     .latch_irq = TIMER0_IRQ,
     .run_irq = TIMER1_IRQ,

@@ -19,6 +19,7 @@
 #include "ad5672r.h"
 
 #define TICK_HZ 25000000u /* the clock of the board */
+#define LEAD (TICK_HZ / 2000u) /* 0.5 ms from an instant to its latch: no masked section is as long */
 #define BIT_RATE 1000000u
 #define DACS (TA_CHANNELS / AD5672R_CHANNELS)
 
@@ -40,6 +41,7 @@ static const ta_config config = {
     .formats = 0x0F,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
     .rate_max_hz = 8000,
@@ -53,7 +55,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = UINT32_MAX,
-    .lead = TICK_HZ / 2000u, /* 0.5 ms: no masked section is as long */
+    .lead = LEAD,
     .uart_irq = UART_TX_IRQ,
     .latch_irq = TIMER0_IRQ,
     .run_irq = TIMER1_IRQ,

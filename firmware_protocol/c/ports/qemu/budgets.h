@@ -7,6 +7,7 @@
 #define BUDGETS(BUDGET)                                                                            \
     BUDGET("idle_mean", 900, 1400)                                                                 \
     BUDGET("idle_worst", 900, 1400)                                                                \
+    BUDGET("skipped_mean", 130, 160)                                                               \
     BUDGET("pcm16_mean", 1500, 2200)                                                               \
     BUDGET("pcm16_worst", 1700, 2800)                                                              \
     BUDGET("pcm16_packet_mean", 18000, 30000)                                                      \

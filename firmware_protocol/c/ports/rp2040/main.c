@@ -20,6 +20,7 @@
 #define CRYSTAL_HZ 12000000u
 #define CLOCK_HZ 125000000u
 #define TICK_HZ 1000000u
+#define LEAD (TICK_HZ / 1000u) /* 1 ms from an instant to its latch: no masked section is as long */
 #define BIT_RATE 1000000u
 
 #define SYNC (1u << 17)
@@ -44,6 +45,7 @@ static const ta_config config = {
     .formats = 0x07,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
     .rate_max_hz = 8000,
@@ -57,7 +59,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = UINT32_MAX,
-    .lead = TICK_HZ / 1000u, /* 1 ms: no masked section is as long */
+    .lead = LEAD,
     .uart_irq = UART0_IRQ,
     .latch_irq = TIMER_0_IRQ,
     .run_irq = TIMER_1_IRQ,

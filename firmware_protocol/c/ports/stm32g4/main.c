@@ -18,6 +18,7 @@
 
 #define CLOCK_HZ 150000000u
 #define TICK_HZ 10000000u
+#define LEAD (TICK_HZ / 2000u) /* 0.5 ms from an instant to its latch: no masked section is as long */
 #define BIT_RATE 1000000u
 #define DACS (TA_CHANNELS / AD5672R_CHANNELS)
 
@@ -37,6 +38,7 @@ static const ta_config config = {
     .formats = 0x0F,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
     .rate_max_hz = 8000,
@@ -50,7 +52,7 @@ static const ta_config config = {
 
 const port_board board = {
     .counter_mask = UINT32_MAX,
-    .lead = TICK_HZ / 2000u, /* 0.5 ms: no masked section is as long */
+    .lead = LEAD,
     .uart_irq = USART2_IRQ,
     .latch_irq = TIM2_IRQ,
     .run_irq = TIM6_IRQ,

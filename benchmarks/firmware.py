@@ -16,7 +16,7 @@ from tactile.bench.figures import Figure, at_most, not_measured
 
 C = Path(firmware_protocol.__file__).parent / "c"
 """Folder of the C sources."""
-BYTES = ("stack", "ta_amplifier", "ta_serial", "flash", "ram")
+BYTES = ("stack", "ta_amplifier", "ta_serial", "flash", "flash_all_links", "ram")
 """Names of figures that are counted in bytes; the others are counted in instructions."""
 
 

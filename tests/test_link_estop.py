@@ -64,6 +64,38 @@ def test_an_estop_is_at_0_volts_in_20_ms_on_a_full_link_again_and_again(link: st
     rig.check_limits()
 
 
+@EVERY
+def test_copies_of_what_was_sent_before_an_estop_do_nothing_after_it(
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str
+) -> None:
+    """A link that delivers packets again, and late, neither arms nor stops what comes after."""
+    sent = overheard(monkeypatch)
+    rig = linked(link)
+    rig.begin(0.2)
+    (amplifier,) = rig.model.amplifiers
+    copies = [packet for packet, _ in sent if packet.type != m.Hello.TYPE]
+    assert {m.Arm.TYPE, m.Start.TYPE, m.Pcm.TYPE} <= {packet.type for packet in copies}
+    former = amplifier.session
+    rig.bus.estop()
+    rig.idle(0.1)
+    rig.bus.clear()
+    assert amplifier.session not in (0, former)
+    for packet in copies:
+        amplifier.receive(packet, rig.model.tick(0))
+        assert (amplifier.state, amplifier.high_voltage) == (State.IDLE, False)
+    rig.begin(0.2)
+    zero = rig.clock.now()
+    for packet in copies:
+        amplifier.receive(packet, rig.model.tick(0))
+        rig.play(4e-3)
+    assert rig.playing
+    assert rig.bus.status.playing
+    error, compared = rig.misplaced(since=zero)
+    assert error <= SAMPLE
+    assert compared > 100
+    rig.check_limits()
+
+
 @pytest.mark.parametrize(
     ("link", "longest"),
     [

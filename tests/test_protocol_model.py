@@ -255,7 +255,7 @@ def test_amplifiers_do_what_the_model_does_at_length(
 
 
 def test_a_copy_of_arm_is_taken_after_an_estop() -> None:
-    """A limit of the protocol, on the amplifier itself: nobody has asked to arm since the ESTOP."""
+    """Nobody has asked to arm since the ESTOP; hosts take another token (SPEC.md, 14, duty 7)."""
     rig = Rig(CONFIGS["as shipped"])
     arm = packet("ARM", 1, 0, 8000)
     for data in (packet("HELLO", 1, 1, 3, 0), arm, packet("ESTOP", 1)):

@@ -65,6 +65,8 @@ class Peer:
         Count of the positions that the amplifier has put out.
     begun : int
         Tick of the amplifier's clock at which the latest START plays.
+    taken : bool
+        Whether the amplifier has taken the session token.
     queries : Queries
         Requests outside of the course of the session, and readings.
     settings : Queries
@@ -76,7 +78,7 @@ class Peer:
         self.clock: ClockEstimator | None = None
         self.last_received = -math.inf
         self.refused: m.Nak | None = None
-        self.lost = False
+        self.lost = self.taken = False
         self.underruns = self.late = self.credit_faults = self.disturbed = 0
         self.ledger = OutputLedger()
         self._late_seen: int | None = None
@@ -180,6 +182,8 @@ class Peer:
             self._report(message, now)
         elif isinstance(message, m.TimeReply):
             self._add_exchange(message, now)
+        elif isinstance(message, m.Caps) and message.session == self.host.session:
+            self.taken = True
         self.queries.receive(message)
         self.settings.receive(message)
         if request is None:
@@ -295,7 +299,7 @@ class Peer:
             return "its clock began anew"
         if refused is not None and refused.code == m.NakCode.SESSION:
             return "it refused what is of this session"
-        if self._status_seen and status is not None and status.session != self.host.session:
+        if self.taken and self._status_seen and status and status.session != self.host.session:
             return f"its session is {status.session}, not {self.host.session}"
         return ""
 
@@ -378,6 +382,16 @@ class Peer:
             self.clock = ClockEstimator(self.caps.tick_hz)
         self._probes.clear()
         self._greeting_probe = -math.inf
+
+    def renew(self, session: int) -> None:
+        """Go on with another session token, which the next HELLO brings to the amplifier.
+
+        Parameters
+        ----------
+        session : int
+            Session token, 1 … 65535.
+        """
+        self.host.session, self.taken = session, False
 
     def reconnected(self) -> None:
         """Forget the reported state, because the wire was opened again."""

@@ -11,7 +11,7 @@ class SessionPhase(Enum):
     SEARCH = auto()
     """HELLO is sent to all nodes, until amplifiers answer."""
     GREET = auto()
-    """HELLO takes each amplifier for this session; after CLEAR it does so again."""
+    """HELLO takes each amplifier for this session; before CLEAR with a new token."""
     CLOCK = auto()
     """Clocks are estimated, until all are known well enough."""
     HALT = auto()

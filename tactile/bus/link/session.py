@@ -18,7 +18,15 @@ from firmware_protocol import messages as m
 from firmware_protocol import spectrum
 from firmware_protocol.capabilities import caps_fault
 from firmware_protocol.host import BY_HOST, refusal
-from firmware_protocol.messages import HEARTBEAT_MS, MAJOR, Message, Mode, NakCode, State
+from firmware_protocol.messages import (
+    HEARTBEAT_MS,
+    MAJOR,
+    WATCHDOG_MS,
+    Message,
+    Mode,
+    NakCode,
+    State,
+)
 from firmware_protocol.packet import Packet
 from tactile.arrays import Floats
 from tactile.bus.amplifier_guards import AmplifierGuards
@@ -47,6 +55,9 @@ GIVEN_UP = 0.1
 QUEUED = 50e-3
 """Time of packets on their way to the wire beyond which no HEARTBEAT is sent, since one that waits
 for longer would keep an amplifier playing for too long after the host (SPEC.md, 14) [s]."""
+YIELDS = 2e-3 * WATCHDOG_MS
+"""Time since the last HEARTBEAT after which no earlier token of this session holds an amplifier
+(SPEC.md, 6.1), with as much again for the way there and back [s]."""
 HELD = 2e-3
 """Time that packets given to the wire may still take when the next one is given to it [s]."""
 LATCHED = (State.ESTOP, State.FAULT)
@@ -73,7 +84,7 @@ class LinkSession:
         Properties of the display that the amplifiers drive; its sample rate is replaced by that of
         the plan.
     token : int
-        Session token on the wire, 1 … 65535.
+        First session token on the wire, 1 … 65535; `clear` takes another.
     choose : callable
         Function that makes the plan from the CAPS of the amplifiers; it is called once and may
         raise InputError.
@@ -157,6 +168,8 @@ class LinkSession:
         self._first: int | None = None
         """Position that START is to play first; None once it has been acknowledged."""
         self.tripped = self._quick = self._owes_heartbeat = self._gave_up = False
+        self._clears = False
+        """Whether CLEAR_FAULT follows once the amplifiers have taken the new token."""
         self._heartbeat = -math.inf
         """Host time of the last HEARTBEAT [s]."""
         self._seq = self._guard_turn = 0  # the number of GUARDs, by which amplifiers take turns
@@ -213,7 +226,7 @@ class LinkSession:
             self._known_to_run = -math.inf
         elif self.phase is SessionPhase.RUN:
             self._known_to_run = min(peer.last_received for peer in self.peers)
-        self.phase = SessionPhase.DOWN
+        self.phase, self._clears = SessionPhase.DOWN, False
         self._forget_guards()
         if self.goal is Goal.RUN and self._first is not None:
             self.goal, self.refusal = Goal.READY, why
@@ -263,7 +276,7 @@ class LinkSession:
         Packet
             ESTOP to all nodes, which the caller has to send ahead of everything else.
         """
-        self.goal, self.refusal, self._gave_up = Goal.ESTOP, "", False
+        self.goal, self.refusal, self._gave_up, self._clears = Goal.ESTOP, "", False, False
         if self.stream is not None:
             self.stream.clear(now)
         if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
@@ -279,8 +292,16 @@ class LinkSession:
             Host time [s].
         """
         self.goal, self.refusal, self.tripped, self._gave_up = Goal.READY, "", False, False
-        if self.phase is not SessionPhase.DOWN:
-            self._enter(SessionPhase.TRIPS, now)
+        self._renew()
+        if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
+            self._clears = True
+            self._enter(SessionPhase.GREET, now)
+
+    def _renew(self) -> None:
+        """Take another token: what was sent with the earlier ones is refused (SPEC.md, 6.1)."""
+        self.token = self.token % 0xFFFF + 1
+        for peer in self.peers:
+            peer.renew(self.token)
 
     def gives_up(self, now: float) -> bool:
         """Decide whether playing that was interrupted is given up.
@@ -663,7 +684,8 @@ class LinkSession:
         if nak.code == NakCode.SESSION:
             return
         if self.phase is SessionPhase.GREET and nak.code == NakCode.BUSY:
-            self.trouble = "another host holds the amplifier"
+            if now > self._heartbeat + YIELDS:
+                self.trouble = "another host holds the amplifier"
             self._wait(SessionPhase.GREET, now)
         elif self.phase is SessionPhase.START and nak.code in RETRY_PHASES:
             self._enter(RETRY_PHASES[nak.code], now)
@@ -701,7 +723,8 @@ class LinkSession:
                 self.refusal, self.error = str(error), error
                 self._enter(SessionPhase.ENDED, now)
                 return
-        self._enter(SessionPhase.CLOCK, now)
+        self._enter(SessionPhase.CLEAR if self._clears else SessionPhase.CLOCK, now)
+        self._clears = False
 
     def _caps_fault(self) -> str:
         """Return what is wrong with the CAPS of an amplifier, one line; empty if nothing is."""
@@ -805,7 +828,8 @@ class LinkSession:
     def _after_estop(self, now: float) -> None:
         """Repeat ESTOP until all amplifiers report it; leave the phase only to disarm."""
         if self.goal is Goal.ENDED:
-            self._enter(SessionPhase.DISARM, now)
+            taken = all(peer.taken for peer in self.peers)
+            self._enter(SessionPhase.DISARM if taken else SessionPhase.ENDED, now)
         elif any(peer.state is not State.ESTOP for peer in self.peers):
             self._enter(SessionPhase.ESTOP, now)
         else:

@@ -11,6 +11,16 @@ def checksum(stage: bytes) -> int:
     """Compute the CRC-32 that the boot ROM expects (RP2040 data sheet, 2.8.1.3.1).
 
     The most significant bit comes first; it begins with all ones, and is not inverted.
+
+    Parameters
+    ----------
+    stage : bytes
+        Second stage of the boot, padded with zeros to 252 bytes.
+
+    Returns
+    -------
+    int
+        Checksum, which follows the stage as a little-endian word.
     """
     crc = 0xFFFFFFFF
     for byte in stage:

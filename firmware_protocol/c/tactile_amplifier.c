@@ -388,7 +388,6 @@ static uint64_t take_instant(ta_amplifier *amp)
         next_period(amp);
     }
     amp->last_tick = tick;
-    amp->last_position = amp->player.position;
     return tick;
 }
 
@@ -425,6 +424,7 @@ static void put_out(ta_amplifier *amp, uint64_t tick)
     ta_player *p = &amp->player;
     move_guards(amp);
     ta_player_instant(p, amp->state, !amp->start_pending);
+    amp->last_position = p->position;
     amp->hal.put_out(amp->hal.context, tick, p->position, p->codes);
     correlate(amp, p->position, !amp->start_pending);
     ta_player_move(p, amp->start_pending);
@@ -460,6 +460,7 @@ static void instant(ta_amplifier *amp)
 static void skip(ta_amplifier *amp)
 {
     (void)take_instant(amp);
+    amp->last_position = amp->player.position;
     skip_correlation(amp);
     ta_player_skip(&amp->player, amp->state, amp->start_pending);
 }

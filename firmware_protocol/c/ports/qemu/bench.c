@@ -51,13 +51,18 @@ bool is_spectrum(const stream *s)
     return s->format == TP_SAMPLE_FORMAT_SPECTRUM8;
 }
 
+void start(void)
+{
+    tp_start m = {.session = SESSION, .position = position, .delay_ms = START_MS};
+    request(TP_START, tp_start_encode(&m, payload, TA_PACKET_MAX));
+}
+
 void begin(const stream *s)
 {
     uint8_t increments[4u * TA_CARRIERS];
     tp_hello hello = {.session = SESSION, .major = TP_MAJOR};
     tp_arm arm = {.session = SESSION, .mode = is_spectrum(s) ? TP_MODE_SPECTRUM : TP_MODE_PCM, .sample_rate_hz = RATE};
     tp_limits limits = {.session = SESSION}; /* 0 keeps a limit */
-    tp_start start = {.session = SESSION, .position = position, .delay_ms = START_MS};
     tp_carriers carriers = {.session = SESSION,
                             .count = TA_CARRIERS,
                             .increments = increments,
@@ -69,7 +74,7 @@ void begin(const stream *s)
     request(TP_LIMITS, tp_limits_encode(&limits, payload, TA_PACKET_MAX));
     request(TP_CARRIERS, tp_carriers_encode(&carriers, payload, TA_PACKET_MAX));
     request(TP_ARM, tp_arm_encode(&arm, payload, TA_PACKET_MAX));
-    request(TP_START, tp_start_encode(&start, payload, TA_PACKET_MAX));
+    start();
 }
 
 uint32_t first_packet(const stream *s)

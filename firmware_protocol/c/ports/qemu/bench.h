@@ -38,6 +38,9 @@ bool power_up(const ta_hal *hal);
 /* Arms and starts a stream. */
 void begin(const stream *s);
 
+/* Starts a stream again, from ARMED. */
+void start(void);
+
 void set(uint16_t parameter, uint32_t value);
 
 /* Sends the guards of all channels. */

@@ -7,6 +7,7 @@
  * - Guards that forbid all but what their channel does change places with such that allow everything: one that is
  *   half of either trips.
  * - An e-stop input that opens in the midst of a request stops whatever that request did.
+ * - A START within which an instant comes, after any number of instructions, begins at its time, and is told once.
  */
 #include <string.h>
 
@@ -359,6 +360,91 @@ static void run_stops(void)
     }
 }
 
+/* Requests in which one instant comes after any number of their instructions */
+
+#define ENDING 1500u /* instructions of a request, the last of them, among which the instant comes */
+
+static void (*interrupted)(void);
+static uint32_t pulses;
+static uint64_t asked; /* tick of the latest instant before the request */
+
+static void instant_interrupt(void)
+{
+    ta_run(&amp, ta_next_instant(&amp));
+}
+
+static bool count_pulses(void *context, const uint8_t *bytes, size_t size)
+{
+    (void)context;
+    (void)size;
+    pulses += bytes[0] == TP_PULSE ? 1u : 0u;
+    return true;
+}
+
+static void request_with_instant_after(uint32_t instructions)
+{
+    pulses = 0;
+    asked = amp.last_tick;
+    machine_interrupt_in(instructions, instant_interrupt);
+    interrupted();
+    machine_interrupt_never();
+}
+
+static uint32_t instructions_of(void (*request)(void))
+{
+    uint32_t before = machine_instructions();
+    request();
+    return (machine_instructions() - before) & MACHINE_COUNT_MASK;
+}
+
+/* The stream waits for its time, and the change of state is told once. */
+static void check_start(void)
+{
+    const ta_player *p = &amp.player;
+    if (amp.state != TP_STATE_RUNNING || !amp.start_pending || p->position != position ||
+        amp.start_tick != asked + (uint64_t)START_MS * TICK_HZ / 1000u) {
+        fail("an instant within START begins it, in the state", amp.state);
+    }
+    if (pulses != 1u) {
+        fail("an instant within START changes the number of PULSEs to", pulses);
+    }
+}
+
+static void be_armed(void)
+{
+    heartbeat();
+    stop();
+    ta_run(&amp, ta_next_instant(&amp));
+    ta_serve(&amp);
+    amp.start_tick = 0; /* as before the first START */
+    amp.pulse_tick = amp.last_tick; /* no PULSE is due */
+}
+
+static void sweep_start(void)
+{
+    begin(playing);
+    be_armed();
+    uint32_t all = instructions_of(start);
+    interrupted = start;
+    for (uint32_t after = all - ENDING; after <= all; after++) {
+        be_armed();
+        request_with_instant_after(after);
+        check_start();
+    }
+}
+
+static void sweep(void)
+{
+    ta_hal hal = board_hal(&contact_open);
+    hal.send = count_pulses;
+    hal.mask = mask;
+    hal.unmask = unmask;
+    if (!power_up(&hal)) {
+        fail("does not power up", 0);
+    }
+    sweep_start();
+}
+
 int main(void)
 {
     static const stream streams[] = {
@@ -380,5 +466,7 @@ int main(void)
         }
     }
     run_stops();
+    playing = &streams[0];
+    sweep();
     return 0;
 }

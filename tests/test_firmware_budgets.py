@@ -19,7 +19,7 @@ def counts(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_every_figure_has_a_budget_and_keeps_it(counts: str) -> None:
     rows = re.findall(r"^(\w+) (\d+) (\d+)$", counts, re.MULTILINE)
     budgets = (SOURCE / "ports" / "qemu" / "budgets.h").read_text("utf-8")
-    names = re.findall(r'BUDGET\("(\w+)"', budgets) + ["flash", "flash_all_links", "ram"]
+    names = [*re.findall(r'BUDGET\("(\w+)"', budgets), "flash", "flash_all_links", "ram"]
     assert sorted(name for name, _, _ in rows) == sorted(2 * names)
     assert all(0 < int(value) <= int(most) for _, value, most in rows)
 
@@ -43,18 +43,36 @@ def test_a_figure_above_its_budget_fails_and_is_named(counts: str, tmp_path: Pat
     assert printed.count("over its budget") == 1
 
 
-def test_a_row_that_is_kept_without_a_lock_is_noticed(counts: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("file", "locked", "harm"),
+    [
+        pytest.param(
+            "tactile_actions.c", "ta_lock(amp);\n            ta_player_keep_row",
+            "other codes at the position", id="row",
+        ),
+        pytest.param(
+            "tactile_actions.c", "ta_lock(amp);\n        if (cleared",
+            "an instant within START begins it", id="start",
+        ),
+        pytest.param(
+            "tactile_requests.c", "ta_lock(amp);\n    ta_announce",
+            "an instant within START changes the number of PULSEs", id="announce",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_done_without_its_lock_is_noticed(
+    counts: str, tmp_path: Path, file: str, locked: str, harm: str
+) -> None:
     """Interrupts come anywhere: a set of channels that is joined in their midst loses a row."""
     source = tmp_path / "c"
     shutil.copytree(SOURCE, source)
-    actions = source / "tactile_actions.c"
-    text = actions.read_text("utf-8")
-    locked = "ta_lock(amp);\n            ta_player_keep_row"
-    assert locked in text
-    actions.write_text(text.replace(locked, "ta_player_keep_row"), "utf-8")
+    text = (source / file).read_text("utf-8")
+    assert text.count(locked) == 1
+    unlocked = locked.removeprefix("ta_lock(amp);\n")
+    (source / file).write_text(text.replace(locked, unlocked), "utf-8")
     status, printed = make(tmp_path / "build", "contexts-m4", source=source)
     assert status != 0
-    assert "pcm16, two contexts: other codes at the position" in printed
+    assert f"pcm16, two contexts: {harm}" in printed
 
 
 @pytest.mark.parametrize("ci", [True, False])

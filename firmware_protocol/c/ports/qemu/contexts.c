@@ -453,6 +453,9 @@ int main(void)
         {"guarded", TP_SAMPLE_FORMAT_PCM16, BLOCK, false, true},
     };
     machine_begin();
+    playing = &streams[0];
+    two_contexts = true;
+    sweep();
     for (size_t i = 0; i < sizeof streams / sizeof streams[0]; i++) {
         playing = &streams[i];
         position = 1000u * BLOCK;
@@ -466,7 +469,5 @@ int main(void)
         }
     }
     run_stops();
-    playing = &streams[0];
-    sweep();
     return 0;
 }

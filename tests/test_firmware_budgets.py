@@ -58,12 +58,16 @@ def test_a_figure_above_its_budget_fails_and_is_named(counts: str, tmp_path: Pat
             "tactile_requests.c", "ta_lock(amp);\n    ta_announce",
             "an instant within START changes the number of PULSEs", id="announce",
         ),
+        pytest.param(
+            "tactile_actions.c", "ta_lock(amp);\n        ta_guard_take",
+            "an instant within GUARD takes half an entry", id="guard",
+        ),
     ],
 )  # fmt: skip
 def test_what_is_done_without_its_lock_is_noticed(
     counts: str, tmp_path: Path, file: str, locked: str, harm: str
 ) -> None:
-    """Interrupts come anywhere: a set of channels that is joined in their midst loses a row."""
+    """Interrupts come anywhere, also in the midst of what only a lock keeps whole."""
     source = tmp_path / "c"
     shutil.copytree(SOURCE, source)
     text = (source / file).read_text("utf-8")

@@ -7,7 +7,8 @@
  * - Guards that forbid all but what their channel does change places with such that allow everything: one that is
  *   half of either trips.
  * - An e-stop input that opens in the midst of a request stops whatever that request did.
- * - A START within which an instant comes, after any number of instructions, begins at its time, and is told once.
+ * - A START within which an instant comes, after any number of instructions, begins at its time, and is told once;
+ *   a GUARD within which one comes leaves each entry whole.
  */
 #include <string.h>
 
@@ -363,6 +364,7 @@ static void run_stops(void)
 /* Requests in which one instant comes after any number of their instructions */
 
 #define ENDING 1500u /* instructions of a request, the last of them, among which the instant comes */
+#define ENTRY_STEP 7u /* instructions from one instant to the next where a copy of an entry is to be met */
 
 static void (*interrupted)(void);
 static uint32_t pulses;
@@ -433,16 +435,65 @@ static void sweep_start(void)
     }
 }
 
-static void sweep(void)
+static void guard_strictly(void)
+{
+    guard_alternately(true);
+}
+
+/* A block of the guards ends at the next instant, after which entries that wait are in force. */
+static void be_at_the_end_of_a_block(void)
+{
+    heartbeat();
+    guard_alternately(false);
+    ta_serve(&amp);
+    amp.guard.left = 1;
+}
+
+/* An entry is one of the two, and none is made of both. */
+static void check_guards(void)
+{
+    for (size_t c = 1; c < TA_CHANNELS; c += 2u) {
+        const ta_guard_entry *e = &amp.guard.guards[c].entry;
+        bool strict = e->limit == 0;
+        if ((e->drive[0] == 0) != strict || (e->drive[TP_GUARD_TAPS - 1u] == 0) != strict) {
+            fail("an instant within GUARD takes half an entry of the channel", (uint32_t)c);
+        }
+    }
+}
+
+static void sweep_guards(void)
+{
+    begin(playing);
+    while (amp.start_pending) {
+        ta_run(&amp, ta_next_instant(&amp));
+    }
+    uint32_t all = instructions_of(guard_strictly);
+    interrupted = guard_strictly;
+    for (uint32_t after = 1; after <= all; after += ENTRY_STEP) {
+        be_at_the_end_of_a_block();
+        request_with_instant_after(after);
+        check_guards();
+    }
+}
+
+static void power_up_for_sweep(bool guarded)
 {
     ta_hal hal = board_hal(&contact_open);
     hal.send = count_pulses;
+    hal.currents = guarded ? board_currents : NULL;
     hal.mask = mask;
     hal.unmask = unmask;
     if (!power_up(&hal)) {
         fail("does not power up", 0);
     }
+}
+
+static void sweep(void)
+{
+    power_up_for_sweep(false);
     sweep_start();
+    power_up_for_sweep(true);
+    sweep_guards();
 }
 
 int main(void)

@@ -368,7 +368,7 @@ static void run_stops(void)
 
 static void (*interrupted)(void);
 static uint32_t pulses;
-static uint64_t asked; /* tick of the latest instant before the request */
+static uint64_t requested_at; /* tick of the latest instant before the request */
 
 static void instant_interrupt(void)
 {
@@ -386,7 +386,7 @@ static bool count_pulses(void *context, const uint8_t *bytes, size_t size)
 static void request_with_instant_after(uint32_t instructions)
 {
     pulses = 0;
-    asked = amp.last_tick;
+    requested_at = amp.last_tick;
     machine_interrupt_in(instructions, instant_interrupt);
     interrupted();
     machine_interrupt_never();
@@ -404,7 +404,7 @@ static void check_start(void)
 {
     const ta_player *p = &amp.player;
     if (amp.state != TP_STATE_RUNNING || !amp.start_pending || p->position != position ||
-        amp.start_tick != asked + (uint64_t)START_MS * TICK_HZ / 1000u) {
+        amp.start_tick != requested_at + (uint64_t)START_MS * TICK_HZ / 1000u) {
         fail("an instant within START begins it, in the state", amp.state);
     }
     if (pulses != 1u) {

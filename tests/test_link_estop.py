@@ -1,5 +1,6 @@
 """Tests of e-stops over links: in time, remembered, reported, and ended by a person alone."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -10,7 +11,7 @@ from firmware_protocol.amplifier import ReferenceAmplifier
 from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import Fault, State
 from firmware_protocol.packet import Packet
-from tactile.errors import BusError
+from tactile.errors import BusError, BusStateError
 
 EVERY = pytest.mark.parametrize("link", MOST)
 TO_ESTOP = 20e-3
@@ -94,6 +95,71 @@ def test_copies_of_what_was_sent_before_an_estop_do_nothing_after_it(
     assert error <= SAMPLE
     assert compared > 100
     rig.check_limits()
+
+
+def at_each_hello(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> None:
+    """Let something happen whenever a HELLO reaches an amplifier, before it is acted on."""
+    usual = ReferenceAmplifier.receive
+
+    def receive(self: ReferenceAmplifier, packet: Packet, now: int) -> None:
+        if packet.type == m.Hello.TYPE:
+            act()
+        usual(self, packet, now)
+
+    monkeypatch.setattr(ReferenceAmplifier, "receive", receive)
+
+
+def stopped(rig: Bench) -> Bench:
+    """Return a link that has played, and was stopped while its session is held by heartbeats."""
+    rig.begin(0.2)
+    rig.bus.estop()
+    rig.idle(0.05)
+    return rig
+
+
+@EVERY
+def test_a_host_that_clears_does_not_take_itself_for_another_one(
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str
+) -> None:
+    """Its earlier token holds the amplifier for 150 ms."""
+    rig, details = stopped(linked(link)), list[str]()
+    at_each_hello(monkeypatch, lambda: details.append(rig.bus.status.detail))
+    rig.bus.clear()
+    assert len(details) > 3
+    assert set(details) == {""}
+
+
+@EVERY
+def test_a_clear_ends_with_the_link(
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str
+) -> None:
+    rig = stopped(linked(link))
+    (amplifier,) = rig.model.amplifiers
+    with monkeypatch.context() as unplugged:
+        at_each_hello(unplugged, lambda: rig.model.unplug(0.3))
+        with pytest.raises(BusError, match="it stays e-stopped"):
+            rig.bus.clear()
+    rig.idle(1.0)
+    assert (rig.bus.state, amplifier.state) == ("estopped", State.ESTOP)
+    rig.bus.clear()
+    assert rig.bus.state == "idle"
+
+
+@EVERY
+def test_an_estop_within_a_clear_holds_and_the_session_can_be_ended(
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str
+) -> None:
+    """The amplifier has not taken the new token yet, so that DISARM would be refused."""
+    rig = stopped(linked(link))
+    (amplifier,) = rig.model.amplifiers
+    with monkeypatch.context() as pressed:
+        at_each_hello(pressed, rig.bus.estop)
+        with pytest.raises(BusStateError):
+            rig.bus.clear()
+    rig.idle(0.5)
+    assert (rig.bus.state, amplifier.state) == ("estopped", State.ESTOP)
+    rig.bus.close()
+    assert rig.bus.counters.disconnects == 0
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from firmware_protocol.packet import Packet
 from tactile.bus.base import DriveFrame, Wiring
 from tactile.bus.budget import Plan
 from tactile.bus.link.link_bus import LinkBus
+from tactile.bus.link.phases import SessionPhase
 from tactile.bus.link.session import LinkSession
 from tactile.bus.link.stream import LinkBusCounters
 from tactile.bus.wire import Wire
@@ -58,6 +59,9 @@ def test_an_estop_before_any_amplifier_has_answered_is_sent_to_all() -> None:
     first, second = session.estop(0.0), session.estop(0.0)
     assert first.type == second.type == m.Estop.TYPE
     assert first.node == second.node == 0
+    session.connected(0.0)
+    session.clear(0.0)
+    assert session.phase is SessionPhase.SEARCH
     assert second.seq == (first.seq + 1) % 256, "it counts packets (SPEC.md, 2)"
 
 

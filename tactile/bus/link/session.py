@@ -276,7 +276,7 @@ class LinkSession:
         Packet
             ESTOP to all nodes, which the caller has to send ahead of everything else.
         """
-        self.goal, self.refusal, self._gave_up, self._clears = Goal.ESTOP, "", False, False
+        self.goal, self.refusal, self._gave_up = Goal.ESTOP, "", False
         if self.stream is not None:
             self.stream.clear(now)
         if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):

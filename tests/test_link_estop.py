@@ -121,7 +121,7 @@ def stopped(rig: Bench) -> Bench:
 def test_a_host_that_clears_does_not_take_itself_for_another_one(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str
 ) -> None:
-    """Its earlier token holds the amplifier for 150 ms."""
+    """The token of before holds the amplifier for 150 ms."""
     rig, details = stopped(linked(link)), list[str]()
     at_each_hello(monkeypatch, lambda: details.append(rig.bus.status.detail))
     rig.bus.clear()
@@ -133,7 +133,7 @@ def test_a_host_that_clears_does_not_take_itself_for_another_one(
 def test_a_clear_ends_with_the_link(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str
 ) -> None:
-    """It is not carried out once the link is back, when nobody expects it any more."""
+    """Nothing is cleared once the link is back, when nobody expects it any more."""
     rig, once = stopped(linked(link)), [0.3]
     (amplifier,) = rig.model.amplifiers
     with monkeypatch.context() as unplugged:

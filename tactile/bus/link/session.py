@@ -167,9 +167,7 @@ class LinkSession:
         self._until = self._wire_free = self._known_to_run = -math.inf
         self._first: int | None = None
         """Position that START is to play first; None once it has been acknowledged."""
-        self.tripped = self._quick = self._owes_heartbeat = self._gave_up = False
-        self._clears = False
-        """Whether CLEAR_FAULT follows once the amplifiers have taken the new token."""
+        self.tripped = self._quick = self._owes_heartbeat = self._gave_up = self._clears = False
         self._heartbeat = -math.inf
         """Host time of the last HEARTBEAT [s]."""
         self._seq = self._guard_turn = 0  # the number of GUARDs, by which amplifiers take turns
@@ -293,6 +291,7 @@ class LinkSession:
         """
         self.goal, self.refusal, self.tripped, self._gave_up = Goal.READY, "", False, False
         self._renew()
+        # CLEAR_FAULT follows once all amplifiers have taken the new token.
         if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
             self._clears = True
             self._enter(SessionPhase.GREET, now)

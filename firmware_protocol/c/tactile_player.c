@@ -377,17 +377,32 @@ static uint32_t bound(ta_player *p, const int16_t *values)
     const int32_t limit = p->limit;
     const int32_t step = p->step;
     int16_t *code = p->codes;
-    const int16_t *end = code + p->channels;
+    int16_t *const end = code + p->channels;
     uint32_t limited = 0;
     uint32_t loud = 0;
+    /*@ loop invariant 0 <= code - p->codes < p->channels && code == p->codes + (code - p->codes);
+        loop invariant values == \at(values, Pre) + (code - p->codes);
+        loop invariant stepped{Pre, Here}(p, code - p->codes) && unchanged{Pre, Here}(p, code - p->codes);
+        loop invariant loud == 0 <==> still(p, code - p->codes);
+        loop assigns code, values, limited, loud, p->codes[0 .. p->channels - 1];
+        loop variant end - code; */
     do {
         int16_t value = *values++;
+        //@ assert fits(code(p, code - p->codes));
         int16_t next = step_to(code++, ta_clamp(value, limit), step);
+        //@ assert others_stay{LoopCurrent, Here}(p, code - p->codes - 1) && code(p, code - p->codes - 1) == next;
         loud |= (uint16_t)next;
         limited += next != value ? 1u : 0u;
     } while (code < end);
+    //@ assert code - p->codes == p->channels;
     p->silent = loud == 0;
     return limited;
+}
+
+/* A part of a value, truncated towards 0. */
+static int32_t portion(int32_t value, int32_t part, int32_t whole)
+{
+    return value * part / whole;
 }
 
 /* The same where the gain of the fade, or that of a guard, is not full. */
@@ -395,11 +410,18 @@ static uint32_t bound_and_fade(ta_player *p)
 {
     uint32_t limited = 0;
     uint32_t loud = 0;
+    /*@ loop invariant 0 <= c <= p->channels;
+        loop invariant stepped{Pre, Here}(p, c) && unchanged{Pre, Here}(p, c);
+        loop invariant loud == 0 <==> still(p, c);
+        loop assigns c, limited, loud, p->codes[0 .. p->channels - 1];
+        loop variant p->channels - c; */
     for (size_t c = 0; c < p->channels; c++) {
+        //@ assert fits(code(p, c)) && 0 <= gain(p, c) <= TA_GAIN_FULL;
         int32_t bounded = ta_clamp(p->values[c], p->limit);
-        int32_t want = bounded * (int32_t)p->gain / (int32_t)p->gain_full;
-        want = want * p->held[c] / TA_GAIN_FULL;
+        int32_t faded = portion(bounded, (int32_t)p->gain, (int32_t)p->gain_full);
+        int32_t want = portion(faded, p->held[c], TA_GAIN_FULL);
         int16_t next = step_to(&p->codes[c], want, p->step);
+        //@ assert others_stay{LoopCurrent, Here}(p, c) && code(p, c) == next;
         loud |= (uint16_t)next;
         limited += (bounded != p->values[c] && p->gain > 0) || next != want ? 1u : 0u;
     }

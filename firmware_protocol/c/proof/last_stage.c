@@ -80,4 +80,28 @@ static uint32_t bound_and_fade(ta_player *p);
     ensures p->silent <==> still(p, p->channels); */
 static void last_stage(ta_player *p, bool plays);
 
+/* What the steps before the last stage may change: neither codes nor limits. */
+/*@ requires \valid(p) && set_up(p) && p->gain <= p->gain_full;
+    requires \valid(p->counters) && \separated(p, p->counters);
+    assigns p->phase, p->gain, p->starving, p->bridging, p->bridges[0 .. TA_CHANNELS - 1],
+            p->values[0 .. TA_CHANNELS - 1], p->kept, p->counters->lost_samples, p->counters->underruns;
+    ensures p->gain <= p->gain_full; */
+static void play(ta_player *p, uint8_t state, bool come);
+
+/*@ requires \valid(p) && set_up(p) && p->gain <= p->gain_full;
+    assigns p->gain;
+    ensures p->gain <= p->gain_full; */
+static void move_gain(ta_player *p, uint8_t state);
+
+/*@ predicate plays(integer state) = state == TP_STATE_RUNNING || state == TP_STATE_RAMPDOWN; */
+
+/* Section 11.2: after an instant every code is bounded, whatever the state. */
+/*@ requires \valid(p) && set_up(p) && codes_fit(p) && held_fits(p) && (plays(state) ==> p->gain <= p->gain_full);
+    requires \valid(p->counters) && \separated(p, p->counters);
+    ensures stepped{Pre, Post}(p, p->channels) && codes_fit(p) && held_fits(p) && set_up(p);
+    ensures p->limit == \old(p->limit) && p->step == \old(p->step) && p->channels == \old(p->channels);
+    ensures plays(state) ==> p->gain <= p->gain_full;
+    ensures p->silent <==> still(p, p->channels); */
+void ta_player_instant(ta_player *p, uint8_t state, bool come);
+
 #include "../tactile_player.c"

@@ -122,6 +122,9 @@ static inline void ta_set_join(ta_set *set, const ta_set *more)
 
 static inline void ta_set_subtract(ta_set *set, const ta_set *less)
 {
+    /*@ loop invariant 0 <= w <= TA_WORDS;
+        loop assigns w, set->words[0 .. TA_WORDS - 1];
+        loop variant TA_WORDS - w; */
     for (size_t w = 0; w < TA_WORDS; w++) {
         set->words[w] &= ~less->words[w];
     }
@@ -139,6 +142,9 @@ static inline ta_set ta_set_common(const ta_set *a, const ta_set *b)
 static inline bool ta_set_empty(const ta_set *set)
 {
     uint32_t any = 0;
+    /*@ loop invariant 0 <= w <= TA_WORDS;
+        loop assigns w, any;
+        loop variant TA_WORDS - w; */
     for (size_t w = 0; w < TA_WORDS; w++) {
         any |= set->words[w];
     }

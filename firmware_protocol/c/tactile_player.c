@@ -2,6 +2,8 @@
  * the phase is settled, every channel gets its value, the last stage bounds it. */
 #include "tactile_player.h"
 
+static const ta_set none;
+
 /* The buffer of PCM: rows of channels, from `head` on. */
 
 static size_t row(const ta_player *p, uint32_t ahead)
@@ -118,12 +120,21 @@ void ta_player_keep_frame(ta_player *p, size_t channel, ta_frame *frame)
 /* Whether all active channels have an envelope at this position. */
 static bool envelopes_ready(const ta_player *p)
 {
+    /*@ loop invariant 0 <= w <= TA_WORDS;
+        loop assigns w;
+        loop variant TA_WORDS - w; */
     for (size_t w = 0; w < TA_WORDS; w++) {
         const ta_envelope *e = p->kept.envelopes + 32u * w;
+        //@ ghost int k = 0;
+        /*@ loop invariant 0 <= k <= 32 && bits <= most(k) && e == &p->kept.envelopes[32 * w + k];
+            loop assigns bits, e, k;
+            loop variant 32 - k; */
         for (uint32_t bits = p->active.words[w]; bits != 0; bits >>= 1, e++) {
+            //@ assert k <= 31;
             if ((bits & 1u) != 0 && !ta_envelope_ready(e, p->position, p->moved)) {
                 return false;
             }
+            //@ ghost k++;
         }
     }
     return true;
@@ -196,6 +207,9 @@ static bool all_go_on(ta_player *p)
 static void stop_envelopes(ta_player *p)
 {
     if (p->mode == TP_MODE_SPECTRUM) {
+        /*@ loop invariant 0 <= c <= p->channels;
+            loop assigns c, p->kept.envelopes[0 .. TA_CHANNELS - 1];
+            loop variant p->channels - c; */
         for (size_t c = 0; c < p->channels; c++) {
             ta_envelope_stop(&p->kept.envelopes[c], p->position);
         }
@@ -206,7 +220,7 @@ static void stop_envelopes(ta_player *p)
 static void stop_values(ta_player *p)
 {
     p->phase = TP_PHASE_STARVED;
-    memset(&p->bridging, 0, sizeof p->bridging);
+    p->bridging = none;
 }
 
 /* An underrun. Envelopes still come to this position (next_spectrum). */
@@ -273,15 +287,24 @@ static void next_of_bridge(ta_player *p, size_t channel)
 static void take_samples(ta_player *p)
 {
     const ta_set *present = &p->present[p->head];
+    /*@ loop invariant 0 <= w <= TA_WORDS;
+        loop assigns w, p->values[0 .. TA_CHANNELS - 1];
+        loop variant TA_WORDS - w; */
     for (size_t w = 0; w < TA_WORDS; w++) {
         const int16_t *sample = p->kept.samples[p->head] + 32u * w;
         int16_t *value = p->values + 32u * w;
+        //@ ghost int k = 0;
+        /*@ loop invariant 0 <= k <= 32 && bits <= most(k) && value == p->values + (32 * w + k);
+            loop invariant sample == &p->kept.samples[p->head][32 * w + k];
+            loop assigns bits, value, sample, k, p->values[0 .. TA_CHANNELS - 1];
+            loop variant 32 - k; */
         for (uint32_t bits = present->words[w]; bits != 0; bits >>= 1) {
             if ((bits & 1u) != 0) {
                 *value = *sample;
             }
             value++;
             sample++;
+            //@ ghost k++;
         }
     }
 }
@@ -291,6 +314,9 @@ static void next_samples(ta_player *p)
 {
     take_samples(p);
     if (!ta_set_empty(&p->bridging)) {
+        /*@ loop invariant 0 <= c <= p->channels;
+            loop assigns c, p->values[0 .. TA_CHANNELS - 1], p->bridges[0 .. TA_CHANNELS - 1], p->bridging;
+            loop variant p->channels - c; */
         for (size_t c = 0; c < p->channels; c++) {
             if (ta_set_has(&p->bridging, c)) {
                 next_of_bridge(p, c);
@@ -313,15 +339,26 @@ static void next_spectrum(ta_player *p)
 {
     ta_phasor turns[TA_CARRIERS];
     const size_t carriers = p->carriers;
+    /*@ loop invariant 0 <= k <= carriers;
+        loop assigns k, turns[0 .. TA_CARRIERS - 1];
+        loop variant carriers - k; */
     for (size_t k = 0; k < carriers; k++) {
         turns[k] = ta_turn(p->increments[k] * p->position);
     }
+    /*@ loop invariant 0 <= w <= TA_WORDS;
+        loop assigns w, p->values[0 .. TA_CHANNELS - 1], p->kept.envelopes[0 .. TA_CHANNELS - 1];
+        loop variant TA_WORDS - w; */
     for (size_t w = 0; w < TA_WORDS; w++) {
         size_t c = 32u * w;
+        //@ ghost int k = 0;
+        /*@ loop invariant 0 <= k <= 32 && bits <= most(k) && c == 32 * w + k;
+            loop assigns bits, c, k, p->values[0 .. TA_CHANNELS - 1], p->kept.envelopes[0 .. TA_CHANNELS - 1];
+            loop variant 32 - k; */
         for (uint32_t bits = p->active.words[w]; bits != 0; bits >>= 1, c++) {
             if ((bits & 1u) != 0) {
                 p->values[c] = spectrum_value(p, &p->kept.envelopes[c], turns);
             }
+            //@ ghost k++;
         }
     }
 }
@@ -333,6 +370,9 @@ static void end_envelopes(ta_player *p)
         stop_envelopes(p);
     }
     if (p->phase != TP_PHASE_PLAYING && p->gain == 0) {
+        /*@ loop invariant 0 <= c <= p->channels;
+            loop assigns c, p->kept.envelopes[0 .. TA_CHANNELS - 1];
+            loop variant p->channels - c; */
         for (size_t c = 0; c < p->channels; c++) {
             ta_envelope_silence(&p->kept.envelopes[c]);
         }
@@ -402,6 +442,7 @@ static uint32_t bound(ta_player *p, const int16_t *values)
 /* A part of a value, truncated towards 0. */
 static int32_t portion(int32_t value, int32_t part, int32_t whole)
 {
+    //@ assert 0 <= value * part <= value * whole || value * whole <= value * part <= 0;
     return value * part / whole;
 }
 
@@ -452,7 +493,6 @@ void ta_player_instant(ta_player *p, uint8_t state, bool come)
 
 void ta_player_move(ta_player *p, bool hold)
 {
-    static const ta_set none;
     p->moved = !hold;
     if (hold) {
         return;

@@ -71,6 +71,10 @@ bool ta_guard_move(ta_guard *g, int32_t *gains)
         return false;
     }
     g->moves = false;
+    /*@ loop invariant 0 <= i <= g->channels;
+        loop invariant \forall integer c; 0 <= c < g->channels ==> 0 <= gains[c] <= TA_GAIN_FULL;
+        loop assigns i, g->moves, gains[0 .. g->channels - 1];
+        loop variant g->channels - i; */
     for (size_t i = 0; i < g->channels; i++) {
         gains[i] = moved(g, i, gains[i]);
         g->moves = g->moves || gains[i] < TA_GAIN_FULL;

@@ -355,6 +355,7 @@ static void next_spectrum(ta_player *p)
             loop assigns bits, c, k, p->values[0 .. TA_CHANNELS - 1], p->kept.envelopes[0 .. TA_CHANNELS - 1];
             loop variant 32 - k; */
         for (uint32_t bits = p->active.words[w]; bits != 0; bits >>= 1, c++) {
+            //@ assert k <= 31;
             if ((bits & 1u) != 0) {
                 p->values[c] = spectrum_value(p, &p->kept.envelopes[c], turns);
             }

@@ -121,6 +121,12 @@ static void play(ta_player *p, uint8_t state, bool come);
     ensures p->gain <= p->gain_full; */
 static void move_gain(ta_player *p, uint8_t state);
 
+/* A START may follow limits with a smaller N, which g of the last stream is above. */
+/*@ requires \valid(p);
+    assigns p->position, p->fill, p->moved, p->phase, p->gain, p->quick, p->held_down;
+    ensures p->gain == 0 && p->fill == 0; */
+void ta_player_start(ta_player *p, uint32_t position);
+
 /*@ predicate plays(integer state) = state == TP_STATE_RUNNING || state == TP_STATE_RAMPDOWN; */
 
 /* Section 11.2: after an instant every code is bounded, whatever the state. */

@@ -23,6 +23,8 @@ MUTANTS = [
     ),
     ("instant", "move_gain", "player.c", "p->gain < p->gain_full ? 1u : 0u", "1u"),
     ("instant", "take_samples", "player.c", "*value = p->values", "*value = p->codes"),
+    ("limits", "derive", "amplifier.c", "gain > 0 ? (uint32_t)gain : 1u", "(uint32_t)gain"),
+    ("guard", "moved", "guard.c", "higher < TA_GAIN_FULL ? higher : TA_GAIN_FULL", "higher"),
     ("packet", "cobs_block", "packet.c", "most = most < room ? most : room;", ""),
     ("samples", "", "samples.c", "value < -FULL_SCALE ? -FULL_SCALE : value", "value"),
 ]

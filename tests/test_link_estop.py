@@ -147,6 +147,30 @@ def test_a_clear_ends_with_the_link(
 
 
 @EVERY
+@pytest.mark.parametrize("greeting", [1, 2])
+def test_an_estop_of_another_host_within_a_clear_is_not_cleared(
+    linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str, greeting: int
+) -> None:
+    """The person who clears does not know of it."""
+    rig, greetings = stopped(linked(link)), iter(range(1, 100))
+    (amplifier,) = rig.model.amplifiers
+
+    def press() -> None:
+        if next(greetings) == greeting:
+            amplifier.receive(Packet.of(m.Estop(7), node=0, seq=0), rig.model.tick(0))
+
+    with monkeypatch.context() as pressed:
+        at_each_hello(pressed, press)
+        with pytest.raises(BusError, match="stopped once more in the meantime"):
+            rig.bus.clear()
+    assert (rig.bus.state, amplifier.state) == ("estopped", State.ESTOP)
+    rig.bus.clear()
+    assert (rig.bus.state, amplifier.state) == ("idle", State.IDLE)
+    rig.begin(0.2)
+    assert rig.bus.status.playing
+
+
+@EVERY
 def test_an_estop_within_a_clear_holds_and_the_session_can_be_ended(
     linked: Linked, monkeypatch: pytest.MonkeyPatch, link: str
 ) -> None:

@@ -31,7 +31,7 @@ class SessionPhase(Enum):
     ESTOP = auto()
     """ESTOP is sent, again until all amplifiers report it; then the session rests here."""
     TRIPS = auto()
-    """STATUS is asked for, since CLEAR_FAULT has to name its `trips`."""
+    """STATUS is asked for, since CLEAR_FAULT has to name its `trips`, those before GREET."""
     CLEAR = auto()
     """CLEAR_FAULT is sent."""
     DISARM = auto()

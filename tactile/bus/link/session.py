@@ -38,7 +38,7 @@ from tactile.bus.link.notes import LinkNotes
 from tactile.bus.link.peer import Peer
 from tactile.bus.link.phases import Goal, SessionPhase
 from tactile.bus.link.queries import RETRY
-from tactile.bus.link.stopped import INPUT_OPEN, open_input, why_stopped
+from tactile.bus.link.stopped import INPUT_OPEN, STOPPED_AGAIN, open_input, why_stopped
 from tactile.bus.link.stream import LinkBusCounters, LinkStream
 from tactile.bus.wire import FragmentWatch, Wire
 from tactile.errors import InputError
@@ -156,7 +156,7 @@ class LinkSession:
         self.stream: LinkStream | None = None
         self.phase, self.goal = SessionPhase.DOWN, Goal.READY
         self.trouble = self.refusal = self.last_fault = ""
-        self.fragments, self.notes = FragmentWatch(), LinkNotes()
+        self.fragments, self.notes, self._trips = FragmentWatch(), LinkNotes(), dict[int, int]()
         self.error: InputError | None = None
         self.carriers: Floats = np.zeros(0)
         self._choose, self._counters = choose, counters
@@ -184,7 +184,7 @@ class LinkSession:
             SessionPhase.RUN: self._after_run,
             SessionPhase.END: self._after_end,
             SessionPhase.ESTOP: self._after_estop,
-            SessionPhase.TRIPS: lambda now: self._enter(SessionPhase.CLEAR, now),
+            SessionPhase.TRIPS: self._after_trips,
             SessionPhase.CLEAR: lambda now: self._enter(SessionPhase.GREET, now),
             SessionPhase.DISARM: self._after_disarm,
         }
@@ -291,10 +291,11 @@ class LinkSession:
         """
         self.goal, self.refusal, self.tripped, self._gave_up = Goal.READY, "", False, False
         self._renew()
-        # CLEAR_FAULT follows once all amplifiers have taken the new token.
+        # CLEAR_FAULT follows once all amplifiers have taken the new token. It names the trips of
+        # now, so that it ends no e-stop that comes until then.
         if self.phase not in (SessionPhase.DOWN, SessionPhase.SEARCH):
             self._clears = True
-            self._enter(SessionPhase.GREET, now)
+            self._enter(SessionPhase.TRIPS, now)
 
     def _renew(self) -> None:
         """Take another token: what was sent with the earlier ones is refused (SPEC.md, 6.1)."""
@@ -593,8 +594,7 @@ class LinkSession:
             if phase is SessionPhase.LIMIT:
                 peer.request(self._limits(peer.caps))
             elif phase is SessionPhase.CLEAR:
-                status = peer.host.status or m.Status()
-                peer.request(m.ClearFault(self.token, status.trips))
+                peer.request(m.ClearFault(self.token, self._trips[peer.host.node]))
             else:
                 peer.request(*(messages() if messages is not None else []))
         if phase is SessionPhase.START:
@@ -688,10 +688,11 @@ class LinkSession:
             self._wait(SessionPhase.GREET, now)
         elif self.phase is SessionPhase.START and nak.code in RETRY_PHASES:
             self._enter(RETRY_PHASES[nak.code], now)
-        elif self.phase is SessionPhase.CLEAR and nak.code == NakCode.STATE:
-            self._wait(SessionPhase.TRIPS, now)
         else:
-            self.refusal = INPUT_OPEN if nak.code == NakCode.INPUT_OPEN else refusal(nak)
+            reasons: dict[int, str] = {NakCode.INPUT_OPEN: INPUT_OPEN}
+            if self.phase is SessionPhase.CLEAR:  # HELLO was taken, so that the output is at 0 V
+                reasons[NakCode.STATE] = STOPPED_AGAIN
+            self.refusal = reasons.get(nak.code) or refusal(nak)
             if self.goal is Goal.RUN:
                 self.goal, self.last_fault = Goal.READY, self.refusal
             self._enter(SessionPhase.DISARM if self.goal is Goal.ENDED else SessionPhase.READY, now)
@@ -823,6 +824,12 @@ class LinkSession:
             if self.stream is not None:
                 self.stream.freeze(now)
             self._enter(SessionPhase.READY, now)
+
+    def _after_trips(self, now: float) -> None:
+        """Keep the trips that CLEAR_FAULT will name, and take the amplifiers anew."""
+        statuses = {peer.host.node: peer.host.status for peer in self.peers}
+        self._trips = {node: status.trips for node, status in statuses.items() if status}
+        self._enter(SessionPhase.GREET, now)
 
     def _after_estop(self, now: float) -> None:
         """Repeat ESTOP until all amplifiers report it; leave the phase only to disarm."""

@@ -7,6 +7,8 @@ from tactile.bus.link.peer import Peer
 
 INPUT_OPEN = "e-stop input open: release the button, then clear"
 """Advice while an e-stop input is open."""
+STOPPED_AGAIN = "stopped once more in the meantime: see why, then clear again"
+"""Advice where an e-stop or a fault has come since a clear began."""
 
 
 def why_stopped(peer: Peer) -> str:

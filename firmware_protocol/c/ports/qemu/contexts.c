@@ -7,8 +7,8 @@
  * - Guards that forbid all but what their channel does change places with such that allow everything: one that is
  *   half of either trips.
  * - An e-stop input that opens in the midst of a request stops whatever that request did.
- * - A START within which an instant comes, after any number of instructions, begins at its time, and is told once;
- *   a GUARD within which one comes leaves each entry whole.
+ * - A START begins at its time and is told once, after whichever of its last instructions an instant comes; a GUARD
+ *   leaves each entry whole.
  */
 #include <string.h>
 
@@ -304,6 +304,31 @@ static void run(bool two)
     }
 }
 
+/* Requests of a board whose packets are counted, not checked */
+
+static uint32_t pulses;
+
+static bool count_pulses(void *context, const uint8_t *bytes, size_t size)
+{
+    (void)context;
+    (void)size;
+    pulses += bytes[0] == TP_PULSE ? 1u : 0u;
+    return true;
+}
+
+static void power_up_in_two_contexts(bool guarded)
+{
+    ta_hal hal = board_hal(&contact_open);
+    hal.send = count_pulses;
+    hal.currents = guarded ? board_currents : NULL;
+    hal.mask = mask;
+    hal.unmask = unmask;
+    two_contexts = true;
+    if (!power_up(&hal)) {
+        fail("does not power up", 0);
+    }
+}
+
 /* E-stops */
 
 static uint32_t opens_after; /* instants until the contact opens */
@@ -347,40 +372,25 @@ static void clear(void)
 
 static void run_stops(void)
 {
-    ta_hal hal = board_hal(&contact_open);
-    hal.mask = mask;
-    hal.unmask = unmask;
+    power_up_in_two_contexts(false);
     longest = SHORTEST;
-    two_contexts = true;
-    if (!power_up(&hal)) {
-        fail("does not power up", 0);
-    }
     for (uint32_t i = 0; i < STOPS; i++) {
         be_stopped();
         clear();
     }
 }
 
-/* Requests in which one instant comes after any number of their instructions */
+/* Requests in which one instant comes, at each of many places in turn */
 
 #define ENDING 1500u /* instructions of a request, the last of them, among which the instant comes */
 #define ENTRY_STEP 7u /* instructions from one instant to the next where a copy of an entry is to be met */
 
 static void (*interrupted)(void);
-static uint32_t pulses;
 static uint64_t requested_at; /* tick of the latest instant before the request */
 
 static void instant_interrupt(void)
 {
     ta_run(&amp, ta_next_instant(&amp));
-}
-
-static bool count_pulses(void *context, const uint8_t *bytes, size_t size)
-{
-    (void)context;
-    (void)size;
-    pulses += bytes[0] == TP_PULSE ? 1u : 0u;
-    return true;
 }
 
 static void request_with_instant_after(uint32_t instructions)
@@ -476,23 +486,11 @@ static void sweep_guards(void)
     }
 }
 
-static void power_up_for_sweep(bool guarded)
-{
-    ta_hal hal = board_hal(&contact_open);
-    hal.send = count_pulses;
-    hal.currents = guarded ? board_currents : NULL;
-    hal.mask = mask;
-    hal.unmask = unmask;
-    if (!power_up(&hal)) {
-        fail("does not power up", 0);
-    }
-}
-
 static void sweep(void)
 {
-    power_up_for_sweep(false);
+    power_up_in_two_contexts(false);
     sweep_start();
-    power_up_for_sweep(true);
+    power_up_in_two_contexts(true);
     sweep_guards();
 }
 
@@ -505,7 +503,6 @@ int main(void)
     };
     machine_begin();
     playing = &streams[0];
-    two_contexts = true;
     sweep();
     for (size_t i = 0; i < sizeof streams / sizeof streams[0]; i++) {
         playing = &streams[i];

@@ -27,6 +27,7 @@ MAP: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "clock": set(),
+    "machine_code": set(),
     "files": set(),
     "paths": set(),
     "messages": set(),
@@ -72,6 +73,7 @@ ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finge
 """Modules that import nothing of tactile but the types of arrays."""
 AT_HOME = {
     "PIL": {"texture.picture"},
+    "numba": {"machine_code"},
     "matplotlib": {"show", "study"},
     "pymoo": {"study"},
     "rich": {"bench.__init__", "cli", "show.effect_view", "show.live", "show.still"},

@@ -26,8 +26,10 @@ from tactile.arrays import Floats
 from tactile.bench.figures import RATE, Figure, at_most, seconds
 from tactile.display.display import Display, load_display
 from tactile.rendering.contact import Trajectory
-from tactile.rendering.renderer import render
+from tactile.rendering.equalizer import roll_off
+from tactile.rendering.renderer import Renderer, render
 from tactile.rendering.spectrum import SpectrumRenderer
+from tactile.strength.commanded import law_factor
 from tactile.strength.strength import amplified
 from tactile.texture.surface import Texture, load_texture, without_friction
 
@@ -96,10 +98,54 @@ def framed(
     return np.asarray(np.concatenate(pieces) * (full_scale / FULL_SCALE_CODE))
 
 
-def sampled(display: Display, texture: Texture, speed: float) -> Floats:
-    """Return the drive (S, N) of the same stroke, sample by sample [V]."""
-    stroke = Trajectory.line(speed=speed, duration=SECONDS, normal_force=FORCE)
-    return render(display, texture, stroke, sample_rate=RATE).drive
+def sampled(display: Display, texture: Texture, speed: float, duration: float = SECONDS) -> Floats:
+    """Return the drive of the same stroke, played sample by sample.
+
+    The waves are added up here and streamed to a renderer. Its own surface has the same spectrum,
+    but is a field, of which frames know nothing.
+
+    Parameters
+    ----------
+    display : Display
+        Display that plays.
+    texture : Texture
+        Texture whose waves are played, without events and friction.
+    speed : float
+        Speed of the stroke along x [m/s].
+    duration : float
+        Duration of the stroke [s].
+
+    Returns
+    -------
+    (S, N) array of float
+        Drive [V].
+    """
+    renderer = Renderer(display, None, sample_rate=RATE)
+    count = round(duration * RATE)
+    shear = np.zeros((count + renderer.delay, len(display.contactors)))
+    shear[:count] = wave_shear(texture, display.contactors, speed, count)
+    place = np.outer(np.arange(len(shear)) * (speed / RATE), [1.0, 0.0])
+    drive = renderer.block(place, np.full(len(place), FORCE), waveform=shear)
+    return drive[renderer.delay :]
+
+
+def wave_shear(texture: Texture, contactors: Floats, speed: float, count: int) -> Floats:
+    """Return the shear (S, N) of a texture's waves under contactors (N, 2), along x [m]."""
+    surface = texture.realize()
+    step = np.array([speed / RATE, 0.0])
+    weight = roll_off(surface.partials.wave_vector[:, 0] * (speed / (2 * np.pi)))
+    within = replace(surface.partials, amplitude=surface.partials.amplitude * weight)
+    bands, gratings = replace(surface, partials=within).split
+    mean = np.sum(surface.envelope.amplitude**2) / 2
+
+    def under(place: Floats) -> Floats:
+        parts = (replace(p, phase=p.phase + p.wave_vector @ place).along(step, count)
+                 for p in (bands, surface.envelope, gratings))  # fmt: skip
+        random, exponent, ribs = parts
+        return random * np.exp(exponent - mean) + ribs
+
+    shear = np.stack([under(place) for place in contactors], axis=1)
+    return law_factor(texture, speed, FORCE) * shear
 
 
 def in_bands(drive: Floats) -> tuple[Floats, Floats]:
@@ -195,8 +241,9 @@ def _events(display: Display, textures_with: list[Texture]) -> Iterator[Figure]:
     for texture in textures_with:
         bare = replace(texture, descriptor=without_events(texture.descriptor))
         for speed in SPEEDS:
-            samples = sampled(display, texture, speed)
-            level, coherence = differences(samples, sampled(display, bare, speed))
+            stroke = Trajectory.line(speed=speed, duration=SECONDS, normal_force=FORCE)
+            whole, without = (render(display, t, stroke).drive for t in (texture, bare))
+            level, coherence = differences(whole, without)
             name = f"spectrum.events_left_out.{texture.name}.{speed * 1e3:g}_mm_s"
             yield Figure(f"{name}.levels.rms", rms(level), "dB")
             yield Figure(f"{name}.levels.worst", float(np.abs(level).max()), "dB")

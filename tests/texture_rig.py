@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tactile.arrays import Floats
-from tactile.texture.surface import Texture
+from tactile.texture.surface import Surface, Texture
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10)
 """Cycles/mm, exact."""
@@ -41,6 +41,12 @@ def write(path: Path, **tables: Mapping[str, object] | list[Mapping[str, object]
 def bands(levels: tuple[float, ...] = FALLING, **more: object) -> dict[str, object]:
     """Return the table of a stochastic part at the exact centers."""
     return {"frequency_per_mm": tuple(CENTERS.tolist()), "level_db": levels, **more}
+
+
+def random_part(surface: Surface, place: Floats) -> Floats:
+    """Return the random part of a surface at places (..., 2), without its envelope [m]."""
+    waves = surface.beside_field.split[0].at(place)
+    return waves if surface.field is None else waves + surface.field.at(place)
 
 
 def counted(wave_vector: Floats, amplitude: Floats, degrees: float) -> Floats:

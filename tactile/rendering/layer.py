@@ -1,8 +1,10 @@
 """One texture on one display: the shear that it commands under each contactor, stroke by stroke.
 
-Partial m of the surface sounds at f_m = k_m·v/2π (signed) while the finger moves at velocity v.
-Contactor i at x_i is to shear the skin by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1
-kHz. This is separable, so that a block of samples is a product of matrices,
+The random part is read from a `field`, whose levels follow the speed of the finger. What is not in
+the field, the waves of gratings and those too long for it, is a sum of partials. Partial m sounds
+at f_m = k_m·v/2π (signed) while the finger moves at velocity v. Contactor i at x_i is to shear the
+skin by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1 kHz. This is separable, so that a
+block of samples is a product of matrices,
 
     shear = (exp(jΦ) ∘ W) @ E,    Φ = k·p per sample (S × M),    E = a exp j(k·x + φ) (M × N).
 
@@ -23,6 +25,7 @@ from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, RESTING_SPEED, Stroke
+from tactile.texture.density import Density
 from tactile.texture.surface import Texture
 
 PHASORS = 8192
@@ -100,6 +103,21 @@ class _RollOff:
         return np.asarray(ramp @ self._table.take(index))
 
 
+def _direction_of(density: Density | None) -> tuple[Floats, Floats] | None:
+    """Return what turns a velocity into the direction of a surface, and by two spreads more.
+
+    The first matrix (2, 2) gives the velocity along the direction and across it. The second turns
+    their magnitudes by two spreads towards the direction; its second component is negative where
+    the motion is within them. There is None for an isotropic surface.
+    """
+    if density is None or density.spread is None:
+        return None
+    turn, wide = density.direction, min(2 * density.spread, np.pi / 2)
+    own = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    spread = np.array([[np.cos(wide), np.sin(wide)], [-np.sin(wide), np.cos(wide)]])
+    return own, spread
+
+
 class RealizedLayer:
     """Texture realized under each contactor of a display.
 
@@ -120,8 +138,10 @@ class RealizedLayer:
     """
 
     def __init__(self, display: Display, texture: Texture, *, seed: int = 0) -> None:
-        surface = texture.realize(seed)
+        realized = texture.realize(seed)
+        surface, self._field = realized.beside_field, realized.field
         contactors, partials = display.contactors, surface.partials
+        self._contactors = np.ascontiguousarray(contactors.T)
         self._law = Law(texture.descriptor)
         with_friction = texture.descriptor.friction is not None
         self.friction = FrictionLaw(texture.descriptor) if with_friction else None
@@ -129,8 +149,10 @@ class RealizedLayer:
         self._roll_off = _RollOff(partials.wave_vector)
         self._bands = 2 * (len(partials.amplitude) - surface.gratings)
         self._to_shear = _interleaved(partials.phasors(contactors))
-        self._to_shear[: self._bands] *= np.exp(-np.sum(surface.envelope.amplitude**2) / 2)
+        self._mean = float(np.exp(-np.sum(surface.envelope.amplitude**2) / 2))
+        self._to_shear[: self._bands] *= self._mean
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
+        self._direction = _direction_of(surface.density)
         self._axes = display.shear_axes if display.projected else None
         self._events = None
         if len(surface.event_peak):
@@ -144,6 +166,11 @@ class RealizedLayer:
             phasors[:, : split // 2] *= self._roll_off(stroke.velocity, stroke.start)
         modulated = self._bands if len(self._to_envelope) else split
         shear = sides[:, :modulated] @ self._to_shear[:modulated]
+        if self._field is not None:
+            self._field.add_to(
+                shear, stroke.place, self._across(stroke), self._contactors,
+                band=equalizer.PASS_BAND, gain=self._mean,
+            )  # fmt: skip
         if len(self._to_envelope):
             shear *= np.exp(sides[:, split:] @ self._to_envelope)
         if modulated < split:
@@ -154,6 +181,19 @@ class RealizedLayer:
             stroke.velocity[:, HISTORY:], stroke.squares[HISTORY:], stroke.normal_force
         )
         return np.asarray(shear)
+
+    def _across(self, stroke: Stroke) -> Floats:
+        """Return the squared speed (S,) at which the finger may meet waves of the field [m²/s²].
+
+        It is less than that of the finger where all wave vectors, within two standard deviations,
+        point away from its motion.
+        """
+        squares = stroke.squares[HISTORY:]
+        if self._direction is None:
+            return squares
+        along, beside = np.abs(self._direction[0] @ stroke.velocity[:, HISTORY:])
+        turned = self._direction[1] @ np.stack([along, beside])
+        return np.where(turned[1] <= 0, squares, turned[0] * turned[0])
 
     def _scale(self, velocity: Floats, squares: Floats, normal_force: Floats) -> Singles:
         """Return the factor of the laws per sample, (S, 1), or (S, N) where shear is projected."""

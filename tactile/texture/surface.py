@@ -1,11 +1,15 @@
-"""Realization of a texture as spatial partials, an envelope and sparse events, fixed in place.
+"""Realization of a texture as a field of noise, gratings, an envelope and events, fixed in place.
 
-The stochastic part is a set of M plane waves. A wave of wave number κ at an angle α to a stroke has
-the spatial frequency κ|cos α| along it, so that the bands of a surface along every direction are a
-linear function of the powers of its waves. Wave numbers are spread evenly over the bands (in their
-logarithm), directions by the golden angle. A first non-negative least-squares fit to the bands in
-72 directions finds one power per ring of wave numbers, a second one finds one per wave, near that
-of its ring.
+The two-dimensional spectrum of the random part is determined by a set of M plane waves. A wave of
+wave number κ at an angle α to a stroke has the spatial frequency κ|cos α| along it, so that the
+bands of a surface along every direction are a linear function of the powers of its waves. Wave
+numbers are spread evenly over the bands (in their logarithm), directions by the golden angle. A
+first non-negative least-squares fit to the bands in 72 directions finds one power per ring of wave
+numbers, a second one finds one per wave, near that of its ring.
+
+Samples play a `field` with that spectrum instead of the waves themselves, whose lines a classifier
+recognizes. The waves are played by spectrum frames, which need few of them, and they are what
+closed forms are computed from; field and waves of a surface are two realizations of one texture.
 
 An isotropic surface cannot have every spectrum: whatever has a wave number κ also contributes below
 it, so that bands can neither rise nor peak. The nearest surface is taken, and its error is reported
@@ -29,7 +33,9 @@ from tactile.errors import InputError
 from tactile.files import SourceFile, find, read_text
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
+from tactile.texture.density import Density
 from tactile.texture.descriptor import BANDS, Descriptor, Events, Laws, Periodic, Stochastic
+from tactile.texture.field import Field
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 """Golden ratio less one, which spreads the directions of waves evenly."""
@@ -53,6 +59,8 @@ ENVELOPE_WAVES = 12
 BURSTS = 3.0, 4.5
 """Range of the wave numbers of bursts, the part of the envelope that carries the remaining
 kurtosis, as multiples of the AM corner."""
+FIELD_STREAM = 1
+"""Number of the stream of random numbers that the phases of a field come from."""
 MICRO, PER_MM = 1e-6, 1e3
 """Meters per micrometer, and cycles/m per cycle/mm."""
 
@@ -82,13 +90,13 @@ class Partials:
             np.concatenate([self.phase, other.phase]),
         )
 
-    def part(self, members: slice) -> "Partials":
+    def part(self, members: slice | NDArray[np.bool_]) -> "Partials":
         """Select some of the waves.
 
         Parameters
         ----------
-        members : slice
-            Indices of the waves.
+        members : slice or (M,) array of bool
+            Waves to select.
 
         Returns
         -------
@@ -179,6 +187,10 @@ class Surface:
     gratings : int
         Number of partials, at the end, that belong to gratings and are not multiplied by the
         envelope.
+    density : Density or None
+        Two-dimensional spectrum of the random part, None without one.
+    seed : int
+        Seed of the field.
     """
 
     partials: Partials
@@ -188,6 +200,26 @@ class Surface:
     event_kind: NDArray[np.intp]
     tile: float = 25.6e-3
     gratings: int = 0
+    density: Density | None = None
+    seed: int = 0
+
+    @cached_property
+    def field(self) -> Field | None:
+        """Random part as a field, which is played instead of the waves; None without one."""
+        rng = np.random.default_rng([self.seed, FIELD_STREAM])
+        return None if self.density is None else self.density.field(rng)
+
+    @property
+    def beside_field(self) -> "Surface":
+        """Surface without the waves that its field replaces, to be added to the field.
+
+        Waves remain where a tile has too few, and those of gratings.
+        """
+        if self.field is None or self.density is None:
+            return self
+        bands, gratings = self.split
+        size = np.linalg.norm(bands.wave_vector, axis=1) / (2 * np.pi)
+        return replace(self, partials=bands.part(size < self.density.resolved) + gratings)
 
     @property
     def split(self) -> tuple[Partials, Partials]:
@@ -263,6 +295,24 @@ class Texture:
             envelope(self.descriptor.stochastic, rng),
             *scatter(self.descriptor.events, Surface.tile, rng),
             gratings=len(partials.amplitude) - len(self.amplitude),
+            density=self._density(),
+            seed=seed,
+        )
+
+    def _density(self) -> Density | None:
+        """Return the two-dimensional spectrum that the waves of the random part are drawn from."""
+        stochastic = self.descriptor.stochastic
+        if stochastic is None or not self.amplitude.any():
+            return None
+        edges = band_edges(stochastic)
+        ring = np.digitize(np.linalg.norm(self.wave_vector, axis=1), edges[1:-1])
+        spread = stochastic.direction_spread_deg
+        return Density(
+            np.asarray(stochastic.frequency_per_mm) * PER_MM,
+            np.bincount(ring, self.amplitude**2 / 2, len(edges) - 1).astype(np.float64),
+            math.radians(stochastic.direction_deg),
+            None if spread is None else math.radians(spread),
+            self.laws.contact_length_mm / PER_MM,
         )
 
 

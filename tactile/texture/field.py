@@ -1,0 +1,270 @@
+"""Fields: random surfaces of tens of thousands of waves, which are looked up in tiles.
+
+A sum of some hundred plane waves is a spectrum of lines, and a classifier hears the lines. A field
+is a sum of so many waves that its spectrum along a stroke is that of noise, and its cost does not
+depend on their number: their sum is computed beforehand, by a fast Fourier transform, on the pixels
+of a tile that repeats over the plane.
+
+**Tile.** The pixel in column x and row y is entry (x + g y) mod n of an array of n entries. That
+is a rank-1 lattice with the generator g (Korobov 1959; Kämmerer, Potts & Volkmer, *Journal of
+Complexity* 31, 2015). The waves of the tile have the wave vectors (m, g m mod n)/n cycles per
+pixel, one for each m, and one transform of length n gives all pixels. g is chosen so that these lie
+on a nearly hexagonal grid. A stroke along either axis meets all n pixels, ten meters and more,
+before anything repeats; over a square tile of the same area it would repeat every few centimeters.
+The shortest way after which this tile repeats is 1.07 sides of such a square, in three directions
+that are at least 6° away from both axes and both diagonals.
+
+**Reading.** Between pixels runs the tensor product of uniform cubic B-splines. The spectrum is
+divided by their response sinc⁴ beforehand, so that each wave has its amplitude exactly. What
+remains are images of a wave at a multiple of the pixel frequency from it, (k/(1 − k))⁴ of its
+amplitude for k cycles per pixel, at most −38 dB at the highest wave number, where a cycle has
+`PER_CYCLE` pixels.
+
+**Levels.** A finger that moves at v turns the wave number κ into the frequency κ v, and what is
+above 1 kHz is not played. Graphics hardware prefilters textures for that (Williams, "Pyramidal
+parametrics", SIGGRAPH 1983). Level j holds the waves below κ₀ 10^(−j/10), each level a third octave
+less than the one before, in pixels that double in size with every octave. At any speed, the two
+levels that end around 1 kHz are read and mixed.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft
+
+from tactile.arrays import Complex, Floats, Ints, Singles
+from tactile.machine_code import compiled
+
+PIXELS = 1 << 19
+"""Number n of pixels of a tile, a power of two."""
+GENERATOR = 188_119
+"""Generator g of the lattice: of 60 000 random odd numbers the one with the longest way before a
+tile repeats, 776 pixels, at 37°, 97° and 157° to the x axis."""
+PER_CYCLE = 4.0
+"""Smallest number of pixels in a cycle."""
+THIRD = 10**-0.1
+"""Ratio of the highest wave number of a level to that of the level before it."""
+BORDER = 3
+"""Number of pixels that follow the last one of a level once more, so that a row of four pixels
+needs no wrapping."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """Displacement as a function of place, in levels that end at lower and lower wave numbers.
+
+    Attributes
+    ----------
+    tiles : (T,) array of float32
+        Pixels of all levels, one after the other [m].
+    first : (J,) array of int
+        Index of the first pixel of each level.
+    size : (J,) array of int
+        Number of pixels of each level, powers of two.
+    per_meter : (J,) array of float
+        Number of pixels in a meter.
+    highest : float
+        Highest spatial frequency of the finest level, κ₀/2π [cycles/m].
+    """
+
+    tiles: Singles
+    first: Ints
+    size: Ints
+    per_meter: Floats
+    highest: float
+
+    def at(self, place: Floats) -> Floats:
+        """Compute the displacement at given places, of all waves.
+
+        Parameters
+        ----------
+        place : (..., 2) array of float
+            Places [m].
+
+        Returns
+        -------
+        (...) array of float
+            Displacement [m].
+        """
+        places = np.ascontiguousarray(place.reshape(-1, 2).T)
+        result = np.zeros((places.shape[1], 1), np.float32)
+        self.add_to(result, places, np.zeros(places.shape[1]), np.zeros((2, 1)), band=1.0)
+        return result[:, 0].astype(np.float64).reshape(place.shape[:-1])
+
+    def add_to(
+        self,
+        shear: Singles,
+        place: Floats,
+        squares: Floats,
+        contactors: Floats,
+        *,
+        band: float,
+        gain: float = 1.0,
+    ) -> None:
+        """Add the displacement under each contactor along a stroke.
+
+        Parameters
+        ----------
+        shear : (S, N) array of float32
+            Displacement to add to [m].
+        place : (2 or more, S) array of float
+            Rows x and y of the finger's places [m].
+        squares : (S,) array of float
+            Squared speed of the finger at each sample [m²/s²].
+        contactors : (2, N) array of float
+            Rows x and y of the places of the contactors [m].
+        band : float
+            Frequency above which nothing is to be played [Hz]: a level whose highest wave is above
+            it at the speed of the finger fades out over the next third octave.
+        gain : float
+            Factor on the displacement of the field.
+        """
+        scale = (self.highest / band) ** 2
+        add_levels(
+            shear, place, squares, contactors, self.tiles, self.first, self.size, self.per_meter,
+            scale, gain,
+        )  # fmt: skip
+
+
+def lattice(pitch: float) -> Floats:
+    """Compute the spatial frequencies of the waves of a tile.
+
+    Parameters
+    ----------
+    pitch : float
+        Side of a pixel [m].
+
+    Returns
+    -------
+    (2, n/2 + 1) array of float
+        Rows x and y of the frequencies [cycles/m]: one wave of each pair k and −k.
+    """
+    index = np.arange(PIXELS // 2 + 1)
+    turns = np.stack([index, index * GENERATOR % PIXELS]) / PIXELS
+    return np.asarray((turns - np.rint(turns)) / pitch)
+
+
+def field_of(waves: Complex, highest: float, lowest: float) -> Field:
+    """Compute the tiles of a sum of waves.
+
+    Parameters
+    ----------
+    waves : (n/2 + 1,) array of complex
+        Complex amplitude a exp(jφ) of each wave of `lattice`, at the pitch of `pitch_of` [m].
+    highest, lowest : float
+        Highest and lowest spatial frequency of any wave with an amplitude [cycles/m].
+
+    Returns
+    -------
+    Field
+        Field Σ a cos(k·p + φ).
+    """
+    pitch = pitch_of(highest)
+    cycles = lattice(pitch)
+    size = np.hypot(*cycles)
+    count = math.ceil(math.log(highest / lowest) / -math.log(THIRD)) + 1
+    tiles = []
+    for j in range(count):
+        members = np.flatnonzero(size < highest * THIRD**j) if j else np.arange(len(waves))
+        coarser = 1 << int(j * -math.log2(THIRD) + 1e-9)
+        part = waves[members] / _spline_response(cycles[:, members] * pitch * coarser)
+        tiles.append(_tile(part, members, PIXELS // coarser))
+    lengths = np.array([len(tile) for tile in tiles])
+    pixels = lengths - BORDER
+    return Field(
+        np.concatenate(tiles),
+        np.cumsum(lengths) - lengths,
+        pixels,
+        pixels / (PIXELS * pitch),
+        highest,
+    )
+
+
+def pitch_of(highest: float) -> float:
+    """Return the side of a pixel of the finest level for a highest spatial frequency [m]."""
+    return 1 / (PER_CYCLE * highest)
+
+
+def _spline_response(turns: Floats) -> Floats:
+    """Return the response of the cubic B-splines at frequencies (2, M) [cycles/pixel]."""
+    return np.asarray(np.prod(np.sinc(turns), axis=0) ** 4)
+
+
+def _tile(waves: Complex, members: Ints, count: int) -> Singles:
+    """Return the pixels of some waves in a tile of fewer pixels, with its border.
+
+    Every second pixel in both directions is every second entry of the array, so that the waves of
+    a coarser tile are those of the finer one, with the index modulo the number of its pixels.
+    """
+    index = members % count
+    mirrored = index > count // 2
+    spectrum = np.zeros(count // 2 + 1, np.complex64)
+    np.add.at(
+        spectrum,
+        np.where(mirrored, count - index, index),
+        np.where(mirrored, waves.conj(), waves) * (count / 2),
+    )
+    pixels = irfft(spectrum, count)
+    return np.concatenate([pixels, pixels[:BORDER]]).astype(np.float32)
+
+
+@compiled()
+def _weights(u: float) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return the weights of four pixels at the place ``u``, 0 … 1, between the middle two."""
+    t = np.float32(u)
+    s = np.float32(1) - t
+    first, last = s * s * s * np.float32(1 / 6), t * t * t * np.float32(1 / 6)
+    second = np.float32(2 / 3) - t * t * (np.float32(1) - np.float32(0.5) * t)
+    return first, second, np.float32(1) - first - second - last, last
+
+
+@compiled()
+def _row(
+    tiles: Singles, k: np.uint64, w: tuple[np.float32, np.float32, np.float32, np.float32]
+) -> np.float32:
+    """Return the weighted sum of four pixels from index ``k`` on."""
+    pair = w[0] * tiles[k] + w[1] * tiles[k + np.uint64(1)]
+    return pair + (w[2] * tiles[k + np.uint64(2)] + w[3] * tiles[k + np.uint64(3)])  # type: ignore[no-any-return]
+
+
+@compiled()
+def _pixel(tiles: Singles, first: np.uint64, mask: int, x: float, y: float) -> np.float32:
+    """Return the displacement at a place [pixels] in the level that begins at index ``first``.
+
+    Indices are unsigned, so that numba need not check whether they count from the end.
+    """
+    column, row = np.floor(x), np.floor(y)
+    across, down = _weights(x - column), _weights(y - row)
+    k = np.int64(column) - 1 + GENERATOR * (np.int64(row) - 1)
+    return (
+        down[0] * _row(tiles, first + np.uint64(k & mask), across)
+        + down[1] * _row(tiles, first + np.uint64((k + GENERATOR) & mask), across)
+        + down[2] * _row(tiles, first + np.uint64((k + 2 * GENERATOR) & mask), across)
+        + down[3] * _row(tiles, first + np.uint64((k + 3 * GENERATOR) & mask), across)
+    )
+
+
+@compiled(
+    "void(float32[:, ::1], float64[:, :], float64[:], float64[:, ::1], float32[::1], int64[::1], "
+    "int64[::1], float64[::1], float64, float64)"
+)
+def add_levels(
+    shear: Singles, place: Floats, squares: Floats, contactors: Floats, tiles: Singles,
+    first: Ints, size: Ints, per_meter: Floats, scale: float, gain: float,
+) -> None:  # fmt: skip
+    """Add the displacement of the levels of a field, as `Field.add_to` describes.
+
+    ``scale`` times the squared speed is the square of the highest frequency, relative to the band.
+    """
+    for n in range(shear.shape[0]):
+        level = 5 * np.log10(max(scale * squares[n], 1.0))
+        lower = min(int(level), len(first))
+        for j in range(lower, min(lower + 2, len(first))):
+            share, pixels = np.float32(gain * (1 - abs(level - j))), per_meter[j]
+            start, mask = np.uint64(first[j]), size[j] - 1
+            if share != 0:
+                x, y = place[0, n] * pixels, place[1, n] * pixels
+                for i in range(shear.shape[1]):
+                    u, v = x + contactors[0, i] * pixels, y + contactors[1, i] * pixels
+                    shear[n, i] += share * _pixel(tiles, start, mask, u, v)

@@ -7,7 +7,7 @@ from scipy.signal import welch
 from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.texture.density import Density
-from tactile.texture.field import PIXELS, THIRD, Field, field_of, lattice, pitch_of
+from tactile.texture.field import PIXELS, THIRD, Field, FieldReader, field_of, lattice, pitch_of
 from tactile.texture.surface import load_texture
 
 HIGHEST, LOWEST = 9e3, 3e2
@@ -42,8 +42,8 @@ def scatter(count: int) -> Floats:
 def read(field: Field, place: Floats, speed: float) -> Floats:
     """Return the displacement (P,) at places (P, 2) [m] for a finger at a speed [m/s]."""
     shear = np.zeros((len(place), 1), np.float32)
-    squares = np.full(len(place), speed**2)
-    field.add_to(shear, place.T, squares, np.zeros((2, 1)), band=PASS_BAND)
+    reader = FieldReader(field, np.zeros((1, 2)), band=PASS_BAND)
+    reader.add_to(shear, place.T, np.full(len(place), speed**2))
     return shear[:, 0].astype(np.float64)
 
 
@@ -87,9 +87,8 @@ def test_nothing_is_left_at_a_speed_that_takes_all_waves_out_of_the_band() -> No
 def test_contactors_read_the_field_at_their_places() -> None:
     place, contactors = scatter(40), scatter(30) * 0.01
     shear = np.ones((40, 30), np.float32)
-    FIELD.add_to(
-        shear, place.T, np.zeros(40), np.ascontiguousarray(contactors.T), band=1e3, gain=-2
-    )
+    reader = FieldReader(FIELD, contactors, band=PASS_BAND, gain=-2)
+    reader.add_to(shear, place.T, np.zeros(40))
     there = FIELD.at(place[:, None] + contactors)
     assert np.abs(shear - (1 - 2 * there)).max() < 1e-6
 

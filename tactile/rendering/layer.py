@@ -26,6 +26,7 @@ from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, RESTING_SPEED, Stroke
 from tactile.texture.density import Density
+from tactile.texture.field import FieldReader
 from tactile.texture.surface import Texture
 
 PHASORS = 8192
@@ -139,9 +140,8 @@ class RealizedLayer:
 
     def __init__(self, display: Display, texture: Texture, *, seed: int = 0) -> None:
         realized = texture.realize(seed)
-        surface, self._field = realized.beside_field, realized.field
-        contactors, partials = display.contactors, surface.partials
-        self._contactors = np.ascontiguousarray(contactors.T)
+        surface, contactors = realized.beside_field, display.contactors
+        partials = surface.partials
         self._law = Law(texture.descriptor)
         with_friction = texture.descriptor.friction is not None
         self.friction = FrictionLaw(texture.descriptor) if with_friction else None
@@ -149,8 +149,13 @@ class RealizedLayer:
         self._roll_off = _RollOff(partials.wave_vector)
         self._bands = 2 * (len(partials.amplitude) - surface.gratings)
         self._to_shear = _interleaved(partials.phasors(contactors))
-        self._mean = float(np.exp(-np.sum(surface.envelope.amplitude**2) / 2))
-        self._to_shear[: self._bands] *= self._mean
+        mean = float(np.exp(-np.sum(surface.envelope.amplitude**2) / 2))
+        self._to_shear[: self._bands] *= mean
+        self._field = None
+        if realized.field is not None:
+            self._field = FieldReader(
+                realized.field, contactors, band=equalizer.PASS_BAND, gain=mean
+            )
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
         self._direction = _direction_of(surface.density)
         self._axes = display.shear_axes if display.projected else None
@@ -167,10 +172,7 @@ class RealizedLayer:
         modulated = self._bands if len(self._to_envelope) else split
         shear = sides[:, :modulated] @ self._to_shear[:modulated]
         if self._field is not None:
-            self._field.add_to(
-                shear, stroke.place, self._across(stroke), self._contactors,
-                band=equalizer.PASS_BAND, gain=self._mean,
-            )  # fmt: skip
+            self._field.add_to(shear, stroke.place, self._across(stroke))
         if len(self._to_envelope):
             shear *= np.exp(sides[:, split:] @ self._to_envelope)
         if modulated < split:

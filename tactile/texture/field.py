@@ -87,21 +87,38 @@ class Field:
         (...) array of float
             Displacement [m].
         """
-        places = np.ascontiguousarray(place.reshape(-1, 2).T)
+        places = place.reshape(-1, 2).T
         result = np.zeros((places.shape[1], 1), np.float32)
-        self.add_to(result, places, np.zeros(places.shape[1]), np.zeros((2, 1)), band=1.0)
+        slow = np.zeros(places.shape[1])
+        FieldReader(self, np.zeros((1, 2)), band=1.0).add_to(result, places, slow)
         return result[:, 0].astype(np.float64).reshape(place.shape[:-1])
 
-    def add_to(
-        self,
-        shear: Singles,
-        place: Floats,
-        squares: Floats,
-        contactors: Floats,
-        *,
-        band: float,
-        gain: float = 1.0,
-    ) -> None:
+
+class FieldReader:
+    """Reads a field under each contactor of a display.
+
+    Parameters
+    ----------
+    field : Field
+        Field to read.
+    contactors : (N, 2) array of float
+        Places of the contactors [m].
+    band : float
+        Frequency above which nothing is to be played [Hz]. A level whose highest wave is above it
+        at the speed of the finger fades out over the next third octave.
+    gain : float
+        Factor on the displacement of the field.
+    """
+
+    def __init__(self, field: Field, contactors: Floats, *, band: float, gain: float = 1.0) -> None:
+        self._field = field
+        self._scale, self._gain = (field.highest / band) ** 2, gain
+        pixel = field.per_meter[:, None, None] * contactors.T
+        whole = np.floor(pixel)
+        self._offset = (whole[:, 0] + GENERATOR * whole[:, 1]).astype(np.int64)
+        self._part = np.ascontiguousarray(pixel - whole, np.float32)
+
+    def add_to(self, shear: Singles, place: Floats, squares: Floats) -> None:
         """Add the displacement under each contactor along a stroke.
 
         Parameters
@@ -112,18 +129,11 @@ class Field:
             Rows x and y of the finger's places [m].
         squares : (S,) array of float
             Squared speed of the finger at each sample [m²/s²].
-        contactors : (2, N) array of float
-            Rows x and y of the places of the contactors [m].
-        band : float
-            Frequency above which nothing is to be played [Hz]: a level whose highest wave is above
-            it at the speed of the finger fades out over the next third octave.
-        gain : float
-            Factor on the displacement of the field.
         """
-        scale = (self.highest / band) ** 2
+        f = self._field
         add_levels(
-            shear, place, squares, contactors, self.tiles, self.first, self.size, self.per_meter,
-            scale, gain,
+            shear, place, self._scale * squares, self._offset, self._part,
+            f.tiles, f.first, f.size, f.per_meter, self._gain,
         )  # fmt: skip
 
 
@@ -210,9 +220,8 @@ def _tile(waves: Complex, members: Ints, count: int) -> Singles:
 
 
 @compiled()
-def _weights(u: float) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the weights of four pixels at the place ``u``, 0 … 1, between the middle two."""
-    t = np.float32(u)
+def _weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return the weights of four pixels at the place ``t``, 0 … 1, between the middle two."""
     s = np.float32(1) - t
     first, last = s * s * s * np.float32(1 / 6), t * t * t * np.float32(1 / 6)
     second = np.float32(2 / 3) - t * t * (np.float32(1) - np.float32(0.5) * t)
@@ -223,48 +232,57 @@ def _weights(u: float) -> tuple[np.float32, np.float32, np.float32, np.float32]:
 def _row(
     tiles: Singles, k: np.uint64, w: tuple[np.float32, np.float32, np.float32, np.float32]
 ) -> np.float32:
-    """Return the weighted sum of four pixels from index ``k`` on."""
-    pair = w[0] * tiles[k] + w[1] * tiles[k + np.uint64(1)]
-    return pair + (w[2] * tiles[k + np.uint64(2)] + w[3] * tiles[k + np.uint64(3)])  # type: ignore[no-any-return]
-
-
-@compiled()
-def _pixel(tiles: Singles, first: np.uint64, mask: int, x: float, y: float) -> np.float32:
-    """Return the displacement at a place [pixels] in the level that begins at index ``first``.
+    """Return the weighted sum of four pixels from index ``k`` on.
 
     Indices are unsigned, so that numba need not check whether they count from the end.
     """
-    column, row = np.floor(x), np.floor(y)
-    across, down = _weights(x - column), _weights(y - row)
-    k = np.int64(column) - 1 + GENERATOR * (np.int64(row) - 1)
-    return (
-        down[0] * _row(tiles, first + np.uint64(k & mask), across)
-        + down[1] * _row(tiles, first + np.uint64((k + GENERATOR) & mask), across)
-        + down[2] * _row(tiles, first + np.uint64((k + 2 * GENERATOR) & mask), across)
-        + down[3] * _row(tiles, first + np.uint64((k + 3 * GENERATOR) & mask), across)
-    )
+    right = w[2] * tiles[k + np.uint64(2)] + w[3] * tiles[k + np.uint64(3)]
+    return w[0] * tiles[k] + w[1] * tiles[k + np.uint64(1)] + right  # type: ignore[no-any-return]
+
+
+@compiled()
+def _add_level(
+    row: Singles, x: float, y: float, offset: Ints, part: Singles, tiles: Singles,
+    first: np.uint64, mask: int, share: np.float32,
+) -> None:  # fmt: skip
+    """Add the displacement of one level for a finger at a place [pixels] to one sample (N,)."""
+    column, down = np.floor(x), np.floor(y)
+    base = np.int64(column) - 1 + GENERATOR * (np.int64(down) - 1)
+    across, along = np.float32(x - column), np.float32(y - down)
+    for i in range(len(row)):
+        k, u, v = base + offset[i], across + part[0, i], along + part[1, i]
+        if u >= 1:
+            k, u = k + 1, u - np.float32(1)
+        if v >= 1:
+            k, v = k + GENERATOR, v - np.float32(1)
+        w, b = _weights(u), _weights(v)
+        upper = b[0] * _row(tiles, first + np.uint64(k & mask), w)
+        upper += b[1] * _row(tiles, first + np.uint64((k + GENERATOR) & mask), w)
+        lower = b[2] * _row(tiles, first + np.uint64((k + 2 * GENERATOR) & mask), w)
+        lower += b[3] * _row(tiles, first + np.uint64((k + 3 * GENERATOR) & mask), w)
+        row[i] += share * (upper + lower)
 
 
 @compiled(
-    "void(float32[:, ::1], float64[:, :], float64[:], float64[:, ::1], float32[::1], int64[::1], "
-    "int64[::1], float64[::1], float64, float64)"
+    "void(float32[:, ::1], float64[:, :], float64[:], int64[:, ::1], float32[:, :, ::1], "
+    "float32[::1], int64[::1], int64[::1], float64[::1], float64)"
 )
 def add_levels(
-    shear: Singles, place: Floats, squares: Floats, contactors: Floats, tiles: Singles,
-    first: Ints, size: Ints, per_meter: Floats, scale: float, gain: float,
+    shear: Singles, place: Floats, ratio: Floats, offset: Ints, part: Singles, tiles: Singles,
+    first: Ints, size: Ints, per_meter: Floats, gain: float,
 ) -> None:  # fmt: skip
-    """Add the displacement of the levels of a field, as `Field.add_to` describes.
+    """Add the displacement of the levels of a field, as `FieldReader.add_to` describes.
 
-    ``scale`` times the squared speed is the square of the highest frequency, relative to the band.
+    ``ratio`` (S,) is the square of the highest frequency of the field, relative to the band.
+    ``offset`` (J, N) and ``part`` (J, 2, N) are whole and remaining pixels from the finger to each
+    contactor.
     """
     for n in range(shear.shape[0]):
-        level = 5 * np.log10(max(scale * squares[n], 1.0))
+        level = 5 * np.log10(max(ratio[n], 1.0))
         lower = min(int(level), len(first))
         for j in range(lower, min(lower + 2, len(first))):
-            share, pixels = np.float32(gain * (1 - abs(level - j))), per_meter[j]
-            start, mask = np.uint64(first[j]), size[j] - 1
+            share = np.float32(gain * (1 - abs(level - j)))
             if share != 0:
-                x, y = place[0, n] * pixels, place[1, n] * pixels
-                for i in range(shear.shape[1]):
-                    u, v = x + contactors[0, i] * pixels, y + contactors[1, i] * pixels
-                    shear[n, i] += share * _pixel(tiles, start, mask, u, v)
+                x, y = place[0, n] * per_meter[j], place[1, n] * per_meter[j]
+                start, mask = np.uint64(first[j]), size[j] - 1
+                _add_level(shear[n], x, y, offset[j], part[j], tiles, start, mask, share)

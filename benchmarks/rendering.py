@@ -46,7 +46,7 @@ def grating_texture(amplitude_um: float) -> Texture:
     none = np.zeros(0)
     return replace(
         oak, descriptor=bare, wave_vector=np.zeros((0, 2)), amplitude=none,
-        band_frequency=none, band_error_db=none,
+        band_frequency=none, band_error_db=none, density=None,
     )  # fmt: skip
 
 

@@ -200,4 +200,4 @@ def test_the_contact_takes_power_from_short_waves() -> None:
 
 def test_a_surface_without_power_has_no_field() -> None:
     rng = np.random.default_rng(0)
-    assert Density(np.array([1e3, 1.26e3]), np.zeros(2), 0.0, None).field(rng) is None
+    assert Density(np.array([1e3, 1.26e3]), np.zeros(2), 0.0, None).drawn(rng) is None

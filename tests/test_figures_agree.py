@@ -26,10 +26,12 @@ def decibels(one: float | None, other: float | None) -> float:
     return 20 * math.log10(one / other)
 
 
-def assert_agree(measured: ShearFigures | None, predicted: ShearFigures) -> None:
+def assert_agree(
+    measured: ShearFigures | None, predicted: ShearFigures, drag_um: float = 0.1
+) -> None:
     assert measured is not None
     assert abs(decibels(measured.vibration_um_rms, predicted.vibration_um_rms)) < 1.0
-    assert measured.drag_um == pytest.approx(predicted.drag_um, rel=0.02, abs=0.1)
+    assert measured.drag_um == pytest.approx(predicted.drag_um, rel=0.02, abs=drag_um)
     assert measured.level_db_sl == pytest.approx(predicted.level_db_sl, abs=1.0)
     assert abs(decibels(measured.peak_um, predicted.peak_um)) < 2.0
     assert measured.level_hz is not None
@@ -68,13 +70,16 @@ def test_a_stroke_has_the_predicted_figures(
 
 @pytest.mark.ci
 def test_what_a_limit_takes_is_in_the_played_figures_of_both(display: Display) -> None:
-    """The limiter takes 6 dB; it acts on the samples of a stroke, not on a mean: within 1.5 dB."""
+    """The limiter takes 6 dB; it acts on the samples of a stroke, not on a mean: within 1.5 dB.
+
+    At this gain the mean of the surface itself over the stroke is some tenths of a micrometer.
+    """
     texture = load_texture("leather-suede")
     line = Trajectory.line(speed=0.08, duration=5.0)
     gain = 34.0
     stroke = run(display, texture, line, gain=gain)
     predicted = texture_strength(display, texture, gain=gain)
-    assert_agree(stroke.commanded, predicted.figures)
+    assert_agree(stroke.commanded, predicted.figures, drag_um=0.5)
     assert stroke.played is not None
     vibration = predicted.played_figures.vibration_um_rms
     assert decibels(vibration, predicted.figures.vibration_um_rms) < -3

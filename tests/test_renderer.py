@@ -128,6 +128,7 @@ def gratings(name: str, count: int) -> tactile.Texture:
         descriptor=changed(texture.descriptor, stochastic=None, periodic=periodic),
         wave_vector=np.zeros((0, 2)),
         amplitude=np.zeros(0),
+        density=None,
     )
 
 

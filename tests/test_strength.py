@@ -112,41 +112,44 @@ def test_events_have_the_spectrum_of_their_shape(
 @pytest.mark.parametrize("name", ["leather-suede", "wood-oak", "plastic-abs-vdi27"])
 @pytest.mark.ci
 def test_bands_are_those_of_a_rendered_stroke(name: str) -> None:
-    """The reference is Welch's method over 30 s; bands below 35 Hz hold few waves, which beat.
-
-    Askew, since along the x axis a wave of the isotropic one sounds right on a band's edge.
-    """
-    line = Trajectory.line(speed=0.08, angle=0.2, duration=30.0, normal_force=0.5)
+    """The reference is Welch's method over eight surfaces of 10 s, which knows bands to 0.1 dB."""
+    line = Trajectory.line(speed=0.08, angle=0.2, duration=10.0, normal_force=0.5)
     shown = few(load_display("reference-24"), 0, 5, 9, 14, 18, 23)
     texture = load_texture(name)
-    measured = band_sensation(*spectrum(render(shown, texture, line).shear[800:]))
+    strokes = [spectrum(render(shown, texture, line, seed=k).shear[800:]) for k in range(8)]
+    measured = band_sensation(strokes[0][0], np.mean([power for _, power in strokes], axis=0))
     lines = commanded_lines(texture, speed=0.08, normal_force=0.5, angle=0.2)
     inside = (CENTERS > 35) & (CENTERS < 600)
     difference = band_sensation(lines.frequency, lines.power)[inside] - measured[inside]
-    assert np.abs(difference).max() < 0.5
-    assert np.abs(difference.mean()) < 0.15
+    assert np.abs(difference).max() < 0.4
+    assert np.abs(difference.mean()) < 0.1
 
 
 @pytest.mark.ci
 def test_bands_of_waves_and_their_sidebands_are_those_of_a_rendered_stroke(tmp_path: Path) -> None:
-    """Waves are few and far apart, with an envelope of half depth: 20 s give 0.5 dB."""
-    level = ", ".join(["-10.0"] * 16)
+    """Every third band has power, with an envelope of half depth; 8 surfaces of 10 s give 0.4 dB.
+
+    The bands between have sidebands only, whose first order is within 1.2 dB; they would be 40 dB
+    lower without it.
+    """
+    level = ", ".join("-10.0" if n % 3 == 0 else "-60.0" for n in range(16))
     bands = ", ".join(f"{0.5 * 10 ** (n / 10):.5g}" for n in range(16))
     texture = authored(
         tmp_path,
         f"[stochastic]\nfrequency_per_mm = [{bands}]\nlevel_db = [{level}]\n"
         "am_depth = 0.5\nam_corner_per_mm = 0.2\ndirection_spread_deg = 1.0\n",
     )
-    few_waves = replace(
-        texture, wave_vector=texture.wave_vector[::16], amplitude=texture.amplitude[::16]
-    )
     shown = few(load_display("reference-24"), 0)
-    measured = band_sensation(*spectrum(played(shown, few_waves, 20.0).shear[800:]))
-    lines = commanded_lines(few_waves, speed=0.08, normal_force=0.5)
+    line = Trajectory.line(speed=0.08, duration=10.0, normal_force=0.5)
+    strokes = [spectrum(render(shown, texture, line, seed=k).shear[800:]) for k in range(8)]
+    measured = band_sensation(strokes[0][0], np.mean([power for _, power in strokes], axis=0))
+    lines = commanded_lines(texture, speed=0.08, normal_force=0.5)
     predicted = band_sensation(lines.frequency, lines.power)
-    inside = (CENTERS > 45) & (CENTERS < 1000) & (predicted > predicted.max() - 30)
-    assert np.count_nonzero(inside) >= 10
-    assert np.abs(predicted - measured)[inside].max() < 0.5
+    inside = (CENTERS > 35) & (CENTERS < 1000) & (predicted > predicted.max() - 30)
+    assert np.count_nonzero(inside) >= 8
+    own = predicted > predicted.max() - 12
+    assert np.abs(predicted - measured)[inside].max() < 1.2
+    assert np.abs(predicted - measured)[inside & own].max() < 0.4
 
 
 def test_drive_is_predicted_from_the_lines(
@@ -268,9 +271,9 @@ def test_a_trial_settles_at_every_place(pair: Display, calf: Texture) -> None:
 def test_two_displays_are_equally_strong_as_rendered(
     pair: Display, calf: Texture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One has a fifth of the voltage and a finger that loads it more; 4 s of stroke each.
+    """One has a fifth of the voltage and a finger that loads it more; 20 s of stroke each.
 
-    Equal within 0.1 dB; from the predicted level both may be off by what waves beat.
+    Equal within 0.1 dB; from the predicted level both may be off by chance.
     """
     monkeypatch.setattr(strength, "PLACES", 24)
     other = replace(few(pair, 1, volts=20.0), name="weak", load=FingerLoad.high())
@@ -279,7 +282,7 @@ def test_two_displays_are_equally_strong_as_rendered(
     assert equal.gains[0].limit == "level"
     levels = []
     for shown, gain in zip((few(pair, 1), other), equal.gains, strict=True):
-        stroke = played(shown, amplified(calf, gain.value), 4.0)
+        stroke = played(shown, amplified(calf, gain.value), 20.0)
         assert stroke.limited_samples == 0
         levels.append(felt(*spectrum(skin(shown, stroke.drive)[800:-800], 8000)))
     assert levels[0] == pytest.approx(levels[1], abs=0.1)
@@ -297,7 +300,9 @@ def test_a_gain_multiplies_all_that_a_texture_does(tmp_path: Path, pair: Display
         "[[events]]\ndensity_per_mm2 = 0.1\namplitude_um = 3.0\nwidth_mm = 0.5\n",
     )
     calf = load_texture("leather-calf")
-    mixed = replace(mixed, wave_vector=calf.wave_vector, amplitude=calf.amplitude)
+    mixed = replace(
+        mixed, wave_vector=calf.wave_vector, amplitude=calf.amplitude, density=calf.density
+    )
     once, twice = (played(pair, one, 0.2).shear for one in (mixed, amplified(mixed, 2.0)))
     np.testing.assert_allclose(twice, 2 * once, atol=1e-5 * np.abs(once).max())
 

@@ -146,7 +146,9 @@ def largest_gain(
     faint = Renderer(
         display, amplified(without_friction(texture), FAINT), sample_rate=sample_rate, seed=seed
     )
-    smooth = replace(amplified(texture, 0.0), wave_vector=np.zeros((0, 2)), amplitude=np.zeros(0))
+    smooth = replace(
+        amplified(texture, 0.0), wave_vector=np.zeros((0, 2)), amplitude=np.zeros(0), density=None
+    )
     friction = Renderer(display, smooth, sample_rate=sample_rate, seed=seed)
     voltage = _Bound(LIMIT_SHARE * display.limits.voltage)
     slew = _Bound(LIMIT_SHARE * display.slew / sample_rate)

@@ -25,7 +25,6 @@ from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, RESTING_SPEED, Stroke
-from tactile.texture.density import Density
 from tactile.texture.field import FieldReader
 from tactile.texture.surface import Texture
 
@@ -104,21 +103,6 @@ class _RollOff:
         return np.asarray(ramp @ self._table.take(index))
 
 
-def _direction_of(density: Density | None) -> tuple[Floats, Floats] | None:
-    """Return what turns a velocity into the direction of a surface, and by two spreads more.
-
-    The first matrix (2, 2) gives the velocity along the direction and across it. The second turns
-    their magnitudes by two spreads towards the direction; its second component is negative where
-    the motion is within them. There is None for an isotropic surface.
-    """
-    if density is None or density.spread is None:
-        return None
-    turn, wide = density.direction, min(2 * density.spread, np.pi / 2)
-    own = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    spread = np.array([[np.cos(wide), np.sin(wide)], [-np.sin(wide), np.cos(wide)]])
-    return own, spread
-
-
 class RealizedLayer:
     """Texture realized under each contactor of a display.
 
@@ -151,13 +135,12 @@ class RealizedLayer:
         self._to_shear = _interleaved(partials.phasors(contactors))
         mean = float(np.exp(-np.sum(surface.envelope.amplitude**2) / 2))
         self._to_shear[: self._bands] *= mean
-        self._field = None
+        self._field, self._density = None, realized.density
         if realized.field is not None:
             self._field = FieldReader(
                 realized.field, contactors, band=equalizer.PASS_BAND, gain=mean
             )
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
-        self._direction = _direction_of(surface.density)
         self._axes = display.shear_axes if display.projected else None
         self._events = None
         if len(surface.event_peak):
@@ -171,8 +154,9 @@ class RealizedLayer:
             phasors[:, : split // 2] *= self._roll_off(stroke.velocity, stroke.start)
         modulated = self._bands if len(self._to_envelope) else split
         shear = sides[:, :modulated] @ self._to_shear[:modulated]
-        if self._field is not None:
-            self._field.add_to(shear, stroke.place, self._across(stroke))
+        if self._field is not None and self._density is not None:
+            own = stroke.velocity[:, HISTORY:], stroke.squares[HISTORY:]
+            self._field.add_to(shear, stroke.place, self._density.met_squares(*own))
         if len(self._to_envelope):
             shear *= np.exp(sides[:, split:] @ self._to_envelope)
         if modulated < split:
@@ -183,19 +167,6 @@ class RealizedLayer:
             stroke.velocity[:, HISTORY:], stroke.squares[HISTORY:], stroke.normal_force
         )
         return np.asarray(shear)
-
-    def _across(self, stroke: Stroke) -> Floats:
-        """Return the squared speed (S,) at which the finger may meet waves of the field [m²/s²].
-
-        It is less than that of the finger where all wave vectors, within two standard deviations,
-        point away from its motion.
-        """
-        squares = stroke.squares[HISTORY:]
-        if self._direction is None:
-            return squares
-        along, beside = np.abs(self._direction[0] @ stroke.velocity[:, HISTORY:])
-        turned = self._direction[1] @ np.stack([along, beside])
-        return np.where(turned[1] <= 0, squares, turned[0] * turned[0])
 
     def _scale(self, velocity: Floats, squares: Floats, normal_force: Floats) -> Singles:
         """Return the factor of the laws per sample, (S, 1), or (S, N) where shear is projected."""

@@ -22,7 +22,7 @@ from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import BLOCK, Renderer
 from tactile.rendering.shear import EventField
-from tactile.strength.commanded import commanded_lines, law_factor
+from tactile.strength.commanded import commanded_lines, law_factor, random_lines
 from tactile.strength.figures import ShearFigures
 from tactile.strength.strength import SteadyStroke, commanded_figures, conditions, texture_strength
 from tactile.texture.bands import nominal_centers, third_octaves
@@ -359,7 +359,7 @@ def texture_spectrum(
 ) -> StrokeSpectrum:
     """Compute the effect of a stroke along x on the skin at one place, per third octave.
 
-    Partials keep their frequencies: the broadening of each by the slow envelope is left out.
+    The broadening of the random part by the slow envelope is left out.
 
     Parameters
     ----------
@@ -376,9 +376,10 @@ def texture_spectrum(
         Peaks of waves, events and gratings.
     """
     factor = law_factor(texture, speed, normal_force)
-    drawn, count = texture.partials, len(texture.amplitude)
-    sounds = np.abs(drawn.wave_vector[:count, 0]) * speed / (2 * np.pi)
-    waves = by_band(sounds, drawn.amplitude[:count] ** 2)
+    waves = np.zeros(BANDS)
+    if texture.density is not None:
+        random = random_lines(texture.density, np.array([speed, 0.0]))
+        waves = by_band(random.frequency, 2 * random.power)
     events = np.zeros(BANDS)
     for kind in texture.descriptor.events:
         events += 2 * np.diff(power_below(kind, 2 * np.pi * EDGES / speed))

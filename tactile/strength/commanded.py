@@ -1,7 +1,9 @@
 """Spectrum of the shear that a texture commands in a steady stroke, in closed form as lines.
 
-A plane wave of wave vector k sounds at |k·v|/2π. Its power is half its squared amplitude, times the
-square of the laws of speed and force, rolled off above 1 kHz. The envelope exp(g − ⟨g²⟩), of mean
+A plane wave of wave vector k sounds at |k·v|/2π. The waves of a grating have half their squared
+amplitude as power, times the square of the laws of speed and force, rolled off above 1 kHz. The
+random part has the power of its density that a stroke meets in each interval of frequency, with the
+levels that its field plays. The envelope exp(g − ⟨g²⟩), of mean
 square 1, leaves exp(−var g) of that power at the wave's frequency and moves the rest into sidebands
 at the frequencies of g's waves (the first order, which here takes the small power of the higher
 ones as well).
@@ -14,11 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile.arrays import Floats
-from tactile.rendering.equalizer import roll_off
+from tactile.rendering.equalizer import PASS_BAND, roll_off
 from tactile.rendering.shear import Law
+from tactile.texture.density import Density
 from tactile.texture.descriptor import Events
 from tactile.texture.event_power import power_below
+from tactile.texture.field import played_share
 from tactile.texture.surface import Partials, Texture
+
+RANDOM_LINES = 480
+"""Number of lines of the random part, 16 per third octave."""
 
 EVENT_EDGES = np.append(np.arange(0.0, 100.0, 1.0), np.geomspace(100.0, 4000.0, 400))
 """Edges of the frequency intervals in which the power of events is combined into one line [Hz]."""
@@ -106,9 +113,12 @@ def commanded_lines(
     """
     surface = texture.realize()
     velocity = speed * np.array([np.cos(angle), np.sin(angle)])
-    bands, gratings = surface.split
-    waves = _modulated(bands, surface.envelope, velocity), _lines(gratings, velocity)
-    parts = [*waves, *(_event_lines(kind, speed, angle) for kind in texture.descriptor.events)]
+    parts = [_lines(surface.split[1], velocity)]
+    if surface.density is not None:
+        parts.append(
+            _modulated(random_lines(surface.density, velocity), surface.envelope, velocity)
+        )
+    parts += [_event_lines(kind, speed, angle) for kind in texture.descriptor.events]
     return LineSpectrum(
         np.abs(np.concatenate([part.frequency for part in parts])),
         np.concatenate([part.power for part in parts]),
@@ -121,9 +131,32 @@ def _lines(waves: Partials, velocity: Floats) -> LineSpectrum:
     return LineSpectrum(signed, (waves.amplitude * roll_off(signed)) ** 2 / 2)
 
 
-def _modulated(waves: Partials, envelope: Partials, velocity: Floats) -> LineSpectrum:
-    """Return the lines of waves with the envelope's sidebands, with signed frequencies."""
-    plain = _lines(waves, velocity)
+def random_lines(density: Density, velocity: Floats) -> LineSpectrum:
+    """Compute the spectrum of the random part, without its envelope and the laws.
+
+    Parameters
+    ----------
+    density : Density
+        Two-dimensional spectrum of the surface.
+    velocity : (2,) array of float
+        Velocity of the finger [m/s].
+
+    Returns
+    -------
+    LineSpectrum
+        `RANDOM_LINES` lines, each with the power in an interval of frequency.
+    """
+    size, along, power = density.met(float(np.arctan2(velocity[1], velocity[0])))
+    squares = np.array([velocity @ velocity])
+    fastest = float(np.sqrt(density.met_squares(velocity[:, None], squares)[0])) / PASS_BAND
+    power = power * played_share(size * fastest, float(density.edges[-1]) * fastest) ** 2
+    edges = np.append(0.0, density.edges[-1] * np.geomspace(1e-3, 1.0, RANDOM_LINES))
+    met = np.histogram(along, edges, weights=np.broadcast_to(power, along.shape))[0]
+    return LineSpectrum((edges[1:] + edges[:-1]) / 2 * np.sqrt(squares[0]), met)
+
+
+def _modulated(plain: LineSpectrum, envelope: Partials, velocity: Floats) -> LineSpectrum:
+    """Return lines with the envelope's sidebands, with signed frequencies."""
     if not len(envelope.amplitude):
         return plain
     variance = envelope.amplitude**2 / 2

@@ -282,4 +282,10 @@ def weighted(texture: Texture, weight: Floats) -> Texture:
         scaled = tuple(w * h for w, h in zip(factors, part.harmonics_um, strict=True))
         periodic.append(structs.replace(part, harmonics_um=scaled))
     descriptor = structs.replace(texture.descriptor, periodic=tuple(periodic))
-    return replace(texture, amplitude=texture.amplitude * weight[rings], descriptor=descriptor)
+    density = texture.density
+    return replace(
+        texture,
+        amplitude=texture.amplitude * weight[rings],
+        density=None if density is None else density.weighted(weight[: len(density.center)]),
+        descriptor=descriptor,
+    )

@@ -385,6 +385,7 @@ def amplified(texture: Texture, gain: float) -> Texture:
     return replace(
         texture,
         amplitude=gain * texture.amplitude,
+        density=None if texture.density is None else texture.density.weighted(gain),
         descriptor=structs.replace(d, periodic=periodic, events=events),
     )
 
@@ -704,7 +705,7 @@ def texture_strength(
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> strength = tactile.texture_strength(display, texture)
     >>> strength.felt_by, round(strength.channels["P"]), strength.limited_share
-    (('P',), 19, 0.0)
+    (('P',), 20, 0.0)
     """
     stroke = stroke or SteadyStroke()
     lines, able = stroke.lines(texture), reach(display, stroke)
@@ -820,7 +821,7 @@ def automatic_gain(
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> largest = tactile.automatic_gain(display, texture)
     >>> largest.limit, round(largest.value, 1)
-    ('voltage', 4.4)
+    ('voltage', 3.7)
     >>> round(tactile.automatic_gain(display, texture, level=20.0).value, 1)
     1.1
     """

@@ -8,15 +8,21 @@ directions it is even, or normal about the direction of the texture.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.special import ndtri
 
 from tactile.arrays import Floats
 from tactile.texture.bands import ABOVE, BELOW, third_octaves
 from tactile.texture.field import PIXELS, Field, field_of, lattice, pitch_of
 
+ANGLES, RADII = 64, 32
+"""Number of directions, and of wave numbers in a ring, with which rings are projected to bands."""
+NEARNESS = 0.02
+"""Weight that keeps the power of a ring near that of its waves, where bands leave it open."""
 FEWEST = 24
 """Number of waves of a tile that a third octave needs; with fewer, the bands of strokes would
 differ from direction to direction."""
@@ -38,6 +44,8 @@ class Density:
         Standard deviation of their direction [rad]; None for an isotropic surface.
     contact : float
         Length l of the low-pass of the contact, 1/√(1 + (κ l)²), 0 for none [m].
+    weight : (B,) array of float, or 1
+        Factor on the power of each third octave, which is not smoothed.
     """
 
     center: Floats
@@ -45,6 +53,7 @@ class Density:
     direction: float
     spread: float | None
     contact: float = 0.0
+    weight: Floats = field(default_factory=lambda: np.ones(1))
 
     @property
     def edges(self) -> Floats:
@@ -80,7 +89,7 @@ class Density:
         ring[0, 0] = ring[-1, -1] = 0.875
         weight = 1 / np.maximum(self.power, least)
         knots = nnls(ring * weight[:, None], self.power * weight)[0] + least
-        factor = self.power / (ring @ knots) / math.log(ABOVE / BELOW)
+        factor = self.weight * self.power / (ring @ knots) / math.log(ABOVE / BELOW)
         smooth = np.interp(np.log(frequency), np.log(self.center), knots)
         return np.asarray(smooth * factor[np.digitize(frequency, self.edges[1:-1])])
 
@@ -108,7 +117,110 @@ class Density:
             around /= 2 * self.spread * math.sqrt(2 * math.pi)
         return np.asarray(per_log * around / size**2)
 
-    def field(self, rng: np.random.Generator) -> Field | None:
+    def weighted(self, factor: Floats | float) -> "Density":
+        """Return the density of a surface whose displacement is multiplied by a factor.
+
+        Parameters
+        ----------
+        factor : (B,) array of float or float
+            Factor on the displacement of each third octave.
+
+        Returns
+        -------
+        Density
+            Density with the squares of the factors as weights.
+        """
+        return replace(self, weight=self.weight * np.square(factor))
+
+    def met(self, angle: float) -> tuple[Floats, Floats, Floats]:
+        """Sample the waves that a stroke meets.
+
+        A wave at an angle α to the stroke is met with the spatial frequency κ|cos α|.
+
+        Parameters
+        ----------
+        angle : float
+            Direction of the stroke [rad].
+
+        Returns
+        -------
+        size : (K, 1) array of float
+            Spatial frequencies κ/2π of the waves, `RADII` in each third octave [cycles/m].
+        along : (K, A) array of float
+            Spatial frequencies along the stroke, in `ANGLES` directions of equal power [cycles/m].
+        power : (K, 1) array of float
+            Power in each of these directions [m²].
+        """
+        even = (np.arange(ANGLES) + 0.5) / ANGLES
+        turns = np.pi * even if self.spread is None else self.direction + self.spread * ndtri(even)
+        ring, ends = np.repeat(np.arange(len(self.center)), RADII), np.log(self.edges)
+        step = np.diff(ends) / RADII
+        size = np.exp(ends[ring] + step[ring] * (np.arange(len(ring)) % RADII + 0.5))
+        power = self.per_unit_log(size) / (1 + (2 * np.pi * size * self.contact) ** 2)
+        along = np.abs(np.outer(size, np.cos(turns - angle)))
+        return size[:, None], along, (power * step[ring] / ANGLES)[:, None]
+
+    def met_squares(self, velocity: Floats, squares: Floats) -> Floats:
+        """Compute the squared speed at which a finger may meet the waves.
+
+        It is less than that of the finger where all wave vectors, within two standard deviations
+        of their direction, point away from its motion.
+
+        Parameters
+        ----------
+        velocity : (2, S) array of float
+            Rows x and y of the velocity of the finger [m/s].
+        squares : (S,) array of float
+            Squared speed of the finger [m²/s²].
+
+        Returns
+        -------
+        (S,) array of float
+            Largest square of κ·v/κ among the waves [m²/s²].
+        """
+        if self._turns is None:
+            return squares
+        own, within = self._turns
+        turned = within @ np.abs(own @ velocity)
+        return np.where(turned[1] <= 0, squares, turned[0] * turned[0])
+
+    @cached_property
+    def _turns(self) -> tuple[Floats, Floats] | None:
+        """Matrices that turn a velocity into components along and across, and by two spreads more.
+
+        The second component that the second one gives is negative for a motion within two spreads.
+        """
+        if self.spread is None:
+            return None
+        wide = min(2 * self.spread, math.pi / 2)
+        return _rotation(self.direction), _rotation(wide)
+
+    def with_bands(self, band: Floats) -> "Density":
+        """Return a density near this one whose strokes have given bands.
+
+        Parameters
+        ----------
+        band : (B,) array of float
+            Power of a stroke in each band [m²].
+
+        Returns
+        -------
+        Density
+            Density whose rings have other powers, each as near as possible to what it was.
+        """
+        count = len(self.center)
+        _, along, power = self.met(self.direction)
+        place = np.digitize(along, self.edges[1:]) * count + np.arange(len(along))[:, None] // RADII
+        inside = along >= self.edges[0]
+        share = np.bincount(place[inside], np.broadcast_to(power, along.shape)[inside], count**2)
+        share = share.reshape(count, count)
+        scale = np.maximum(band, share.sum(axis=1))
+        scale = np.maximum(scale, 1e-9 * scale.max())
+        target = np.append(band / scale, np.full(count, NEARNESS))
+        near = np.concatenate([share / scale[:, None], NEARNESS * np.eye(count)])
+        return replace(self, power=self.power * nnls(near, target)[0])
+
+    def drawn(self, rng: np.random.Generator) -> Field | None:
         """Draw a field with this density.
 
         Parameters
@@ -122,7 +234,7 @@ class Density:
             Field of all waves from `resolved` to the last edge; None for a surface without power.
         """
         highest, lowest = float(self.edges[-1]), self.resolved
-        if not self.power.any() or lowest >= highest:
+        if not np.any(self.weight * self.power) or lowest >= highest:
             return None
         pitch = pitch_of(highest)
         frequency = lattice(pitch)
@@ -134,3 +246,8 @@ class Density:
         waves = np.zeros(len(size), np.complex128)
         waves[inside] = np.sqrt(2 * power) * np.exp(1j * phase)
         return field_of(waves, highest, lowest)
+
+
+def _rotation(turn: float) -> Floats:
+    """Return the matrix that turns vectors clockwise by an angle [rad]."""
+    return np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])

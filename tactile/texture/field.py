@@ -137,6 +137,27 @@ class FieldReader:
         )  # fmt: skip
 
 
+def played_share(ratio: Floats, highest: float) -> Floats:
+    """Compute the factor with which the levels of a field play its waves.
+
+    Parameters
+    ----------
+    ratio : (...) array of float
+        Highest frequency of each wave, κ v/2π, relative to the band.
+    highest : float
+        That of the highest wave of the field.
+
+    Returns
+    -------
+    (...) array of float
+        Factor on the displacement: 1 up to the end of the coarser of the two levels that are mixed,
+        less between their ends, 0 above.
+    """
+    mixed = 10 * math.log10(max(highest, 1.0)) % 1
+    end = 10 ** (mixed / 10)
+    return np.where(ratio < end * THIRD, 1.0, np.where(ratio < end, 1 - mixed, 0.0))
+
+
 def lattice(pitch: float) -> Floats:
     """Compute the spatial frequencies of the waves of a tile.
 

@@ -207,7 +207,7 @@ class Surface:
     def field(self) -> Field | None:
         """Random part as a field, which is played instead of the waves; None without one."""
         rng = np.random.default_rng([self.seed, FIELD_STREAM])
-        return None if self.density is None else self.density.field(rng)
+        return None if self.density is None else self.density.drawn(rng)
 
     @property
     def beside_field(self) -> "Surface":
@@ -248,6 +248,9 @@ class Texture:
         Level of the realized surface above (+) or below (−) that of the descriptor, in the mean
         over directions for an isotropic surface, empty without a stochastic part [dB]. A large
         error marks a band that no isotropic surface with these neighboring bands can have.
+    density : Density or None
+        Two-dimensional spectrum of the random part, of which the waves are a sample and which the
+        field realizes; None without a random part.
     """
 
     name: str
@@ -256,6 +259,7 @@ class Texture:
     amplitude: Floats
     band_frequency: Floats
     band_error_db: Floats
+    density: Density | None = None
 
     @cached_property
     def partials(self) -> Partials:
@@ -295,24 +299,8 @@ class Texture:
             envelope(self.descriptor.stochastic, rng),
             *scatter(self.descriptor.events, Surface.tile, rng),
             gratings=len(partials.amplitude) - len(self.amplitude),
-            density=self._density(),
+            density=self.density,
             seed=seed,
-        )
-
-    def _density(self) -> Density | None:
-        """Return the two-dimensional spectrum that the waves of the random part are drawn from."""
-        stochastic = self.descriptor.stochastic
-        if stochastic is None or not self.amplitude.any():
-            return None
-        edges = band_edges(stochastic)
-        ring = np.digitize(np.linalg.norm(self.wave_vector, axis=1), edges[1:-1])
-        spread = stochastic.direction_spread_deg
-        return Density(
-            np.asarray(stochastic.frequency_per_mm) * PER_MM,
-            np.bincount(ring, self.amplitude**2 / 2, len(edges) - 1).astype(np.float64),
-            math.radians(stochastic.direction_deg),
-            None if spread is None else math.radians(spread),
-            self.laws.contact_length_mm / PER_MM,
         )
 
 
@@ -415,7 +403,41 @@ def _fitted(descriptor: Descriptor, partials: int, name: str) -> Texture:
         levels = band_levels(*fitted_waves, stochastic, stroke_directions(stochastic))
         power = np.mean(10 ** (levels / 10), axis=0)
         error = 10 * np.log10(np.maximum(power, 1e-30)) - np.asarray(stochastic.level_db)
-    return Texture(descriptor.texture.id, descriptor, *fitted_waves, frequency, error)
+    density = density_of(*fitted_waves, stochastic, descriptor.laws) if stochastic else None
+    return Texture(descriptor.texture.id, descriptor, *fitted_waves, frequency, error, density)
+
+
+def density_of(waves: Floats, amplitude: Floats, stochastic: Stochastic, laws: Laws) -> Density:
+    """Compute the continuous two-dimensional spectrum of a surface from its plane waves.
+
+    Parameters
+    ----------
+    waves : (M, 2) array of float
+        Wave vectors [rad/m].
+    amplitude : (M,) array of float
+        Peak amplitudes [m].
+    stochastic : Stochastic
+        Random part that the waves are fitted to.
+    laws : Laws
+        Laws of the texture, of which the low-pass of the contact is part of the density.
+
+    Returns
+    -------
+    Density
+        Density whose rings have the power of their waves, adjusted so that strokes have the bands
+        that the waves have on average over `stroke_directions`.
+    """
+    power = amplitude**2 / 2
+    edges, spread = band_edges(stochastic), stochastic.direction_spread_deg
+    ring = np.digitize(np.linalg.norm(waves, axis=1), edges[1:-1])
+    met = band_shares(waves, edges, stroke_directions(stochastic)) @ power
+    density = Density(
+        np.asarray(stochastic.frequency_per_mm) * PER_MM,
+        np.bincount(ring, power, len(edges) - 1).astype(np.float64),
+        math.radians(stochastic.direction_deg),
+        None if spread is None else math.radians(spread),
+    ).with_bands(met.mean(axis=0))
+    return replace(density, contact=laws.contact_length_mm / PER_MM)
 
 
 def without_friction(texture: Texture) -> Texture:

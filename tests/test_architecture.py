@@ -35,7 +35,7 @@ MAP: dict[str, set[str]] = {
     "actuator": set(),
     "display": {"actuator", "files"},
     "texture": {"files", "machine_code"},
-    "rendering": {"display", "files", "texture"},
+    "rendering": {"display", "files", "machine_code", "texture"},
     "sensing": {"actuator", "files", "rendering"},
     "tracking": {"rendering"},
     "strength": {"display", "rendering", "texture"},

@@ -162,7 +162,7 @@ class RealizedLayer:
         if modulated < split:
             shear += sides[:, modulated:split] @ self._to_shear[modulated:]
         if self._events is not None:
-            shear += self._events.at(stroke.place[:2])
+            self._events.add_to(shear, stroke.place)
         shear *= self._scale(
             stroke.velocity[:, HISTORY:], stroke.squares[HISTORY:], stroke.normal_force
         )

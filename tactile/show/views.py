@@ -350,8 +350,9 @@ def _waves_on(partials: Partials, place: Floats) -> Floats:
 def _events_on(surface: Surface, kinds: tuple[Events, ...], place: Floats) -> Floats:
     """Return the sparse events [m] on a square grid, as y by x."""
     y, x = np.meshgrid(place, place, indexing="ij")
-    field = EventField(surface, kinds, np.zeros((1, 2)))
-    return field.at(np.stack([x.ravel(), y.ravel()]))[:, 0].reshape(x.shape).astype(np.float64)
+    shear = np.zeros((x.size, 1), np.float32)
+    EventField(surface, kinds, np.zeros((1, 2))).add_to(shear, np.stack([x.ravel(), y.ravel()]))
+    return shear[:, 0].reshape(x.shape).astype(np.float64)
 
 
 def texture_spectrum(

@@ -17,15 +17,15 @@ from tactile.texture import descriptor as descriptors
 from tactile.texture.descriptor import Descriptor, Periodic, Stochastic
 from tactile.texture.descriptor_file import as_toml, write
 
-CENTERS = tuple((10 ** (np.arange(-6, 10) / 10)).tolist())
+CENTERS = tuple((10 ** (np.arange(-20, 21) / 10)).tolist())
 
 
 def floats(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(low, high)
 
 
-def sixteen(low: float, high: float) -> st.SearchStrategy[tuple[float, ...]]:
-    return st.lists(floats(low, high), min_size=16, max_size=16).map(tuple)
+def several(count: int, low: float, high: float) -> st.SearchStrategy[tuple[float, ...]]:
+    return st.lists(floats(low, high), min_size=count, max_size=count).map(tuple)
 
 
 LINES = st.text(st.sampled_from("aµ \"\\\n\t#\r\x00\x7f'")) | st.text()
@@ -41,16 +41,18 @@ ABOUT = st.builds(
 REFERENCE = st.builds(
     descriptors.Reference, speed_mm_s=floats(1e-9, 1000), normal_force_n=floats(1e-9, 20)
 )
-STOCHASTIC = st.builds(
-    Stochastic,
-    frequency_per_mm=st.just(CENTERS),
-    level_db=sixteen(-120, 60),
-    level_sd_db=st.just(()) | sixteen(0, 40),
-    excess_kurtosis=floats(0, 30),
-    am_depth=floats(0, 1),
-    am_corner_per_mm=floats(0.01, 1),
-    direction_deg=floats(-360, 360),
-    direction_spread_deg=st.none() | floats(1e-9, 60),
+STOCHASTIC = st.integers(4, 41).flatmap(
+    lambda count: st.builds(
+        Stochastic,
+        frequency_per_mm=st.just(CENTERS[:count]),
+        level_db=several(count, -120, 60),
+        level_sd_db=st.just(()) | several(count, 0, 40),
+        excess_kurtosis=floats(0, 30),
+        am_depth=floats(0, 1),
+        am_corner_per_mm=floats(0.01, 1),
+        direction_deg=floats(-360, 360),
+        direction_spread_deg=st.none() | floats(1e-9, 60),
+    )
 )
 HARMONICS = st.integers(1, 32).flatmap(
     lambda n: st.tuples(

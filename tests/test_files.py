@@ -217,7 +217,7 @@ FAULTS: dict[str, list[tuple[str, ...]]] = {
     ],
     "a wrong number of values names how many and how many there must be": [
         ("textures", "[0, -1,", "[0,", "level_db", "15", "16"),
-        ("textures", ", 8]", ", 8, 10]", "frequency_per_mm", "17", "16"),
+        ("textures", ", 8]", ", 8, 10]", "level_db", "16", "17"),
         ("textures", "am_depth = 0.1", "level_sd_db = [1.0]", "level_sd_db", "1 values", "16"),
         ("textures", "[0.0, 90.0]", "[0.0]", "periodic[1]", "phases_deg", "1 values", "2"),
         ("textures", "[1.0, 0.5]", "[]", "periodic[0].harmonics_um", ">= 1"),

@@ -52,6 +52,38 @@ def test_bands_that_are_no_third_octaves_are_refused(tmp_path: Path, factor: flo
         load_texture(path)
 
 
+def some_bands(count: int) -> dict[str, object]:
+    """Return the table of a stochastic part of a number of bands from 0.01 cycles/mm on."""
+    centers, levels = 0.01 * 10 ** (np.arange(count) / 10), 20 - 1.5 * np.arange(count)
+    return {"frequency_per_mm": tuple(centers.tolist()), "level_db": tuple(levels.tolist())}
+
+
+@pytest.mark.parametrize("count", [0, 3, 42])
+def test_fewer_than_4_and_more_than_41_bands_are_refused(tmp_path: Path, count: int) -> None:
+    """There are 41 third octaves in the range of a spatial frequency, 0.01 to 100 cycles/mm."""
+    for name, allowed in (("fewest", 4), ("most", 41)):
+        load_texture(write(tmp_path / f"{name}.toml", stochastic=some_bands(allowed)))
+    path = write(tmp_path / "odd.toml", stochastic=some_bands(min(count, 41)))
+    if count > 41:
+        path.write_text(path.read_text().replace("100.0]", "100.0, 100.0]"))
+    with pytest.raises(InputError, match=rf"frequency_per_mm has {count} values, needs 4 to 41"):
+        load_texture(path)
+
+
+@pytest.mark.parametrize("count", [4, 16, 27, 41])
+def test_a_surface_has_as_many_bands_as_its_file(tmp_path: Path, count: int) -> None:
+    """The power of a cut is the sum of density times width over all bands, in closed form."""
+    table = some_bands(count) | {"direction_spread_deg": 1e-3}
+    texture = load_texture(write(tmp_path / "many.toml", stochastic=table))
+    center, level = (np.array(table[name]) for name in ("frequency_per_mm", "level_db"))
+    assert texture.band_frequency == pytest.approx(center * 1e3)
+    assert np.abs(texture.band_error_db).max() < 0.05
+    power = np.sum(10 ** (level / 10) * center * (10**0.05 - 10**-0.05))
+    assert np.sum((texture.amplitude * 1e6) ** 2) / 2 == pytest.approx(power, rel=0.01)
+    isotropic = load_texture(write(tmp_path / "isotropic.toml", stochastic=some_bands(count)))
+    assert np.abs(isotropic.band_error_db).max() < 0.7, "nine waves per band at worst"
+
+
 @pytest.mark.parametrize("name", ["speed_range_mm_s", "force_range_n"])
 def test_a_range_that_does_not_ascend_is_refused(tmp_path: Path, name: str) -> None:
     path = write(tmp_path / "range.toml", stochastic=bands(), laws={name: (2.0, 2.0)})

@@ -2,9 +2,9 @@
 
 A descriptor states **tangential skin displacement**, not surface height, at a reference speed and
 force: the spatial spectrum of lateral skin displacement identifies a texture well (Wiertlewski,
-Lozada & Hayward, IEEE T-RO 2011). Its 16 third-octave bands of spatial frequency become bands of
+Lozada & Hayward, IEEE T-RO 2011). Its third-octave bands of spatial frequency become bands of
 temporal frequency as the finger moves, frequency = spatial frequency × speed.
-`docs/guide/rendering.md` explains why there are 16 bands. Field names carry their units, and
+`docs/guide/rendering.md` explains why it is third octaves. Field names carry their units, and
 unknown keys are errors.
 """
 
@@ -17,8 +17,9 @@ from msgspec import Meta, Struct
 from tactile import files
 from tactile.errors import InputError
 
-BANDS = 16
-"""Number of third-octave bands in the random part of a texture."""
+FEWEST_BANDS, MOST_BANDS = 4, 41
+"""Limits of the number of third-octave bands in the random part of a texture. Four bands are more
+than an octave; 41 cover all spatial frequencies that a file may state, 0.01 to 100 cycles/mm."""
 THIRD_OCTAVE = 10**0.1
 """Ratio between the centers of adjacent bands."""
 
@@ -99,12 +100,13 @@ class Reference(_Part, frozen=True, kw_only=True):
 
 
 class Stochastic(_Part, frozen=True, kw_only=True):
-    """Table ``[stochastic]``: the random part of a texture, 16 bands along a straight stroke.
+    """Table ``[stochastic]``: the random part of a texture, in bands along a straight stroke.
 
     Attributes
     ----------
     frequency_per_mm : tuple of float
-        Centers of the 16 third-octave bands in cycles/mm, ascending by 10^(1/10).
+        Centers of 4 to 41 third-octave bands in cycles/mm, ascending by 10^(1/10). What moves at
+        20 mm/s needs bands to 40 cycles/mm to reach 800 Hz.
     level_db : tuple of float
         One-sided power spectral density of displacement in dB re 1 µm² mm, one value for each
         band. The variance of a band is 10^(level/10) × 0.231 × its center.
@@ -135,10 +137,15 @@ class Stochastic(_Part, frozen=True, kw_only=True):
     direction_spread_deg: SpreadLimit | None = None
 
     def __post_init__(self) -> None:
-        for name in ("frequency_per_mm", "level_db", "level_sd_db"):
+        bands = len(self.frequency_per_mm)
+        if not FEWEST_BANDS <= bands <= MOST_BANDS:
+            raise ValueError(
+                f"frequency_per_mm has {bands} values, needs {FEWEST_BANDS} to {MOST_BANDS}"
+            )
+        for name in ("level_db", "level_sd_db"):
             count = len(getattr(self, name))
-            if count != BANDS and (count or name != "level_sd_db"):
-                raise ValueError(f"{name} has {count} values, needs {BANDS}")
+            if count != bands and (count or name != "level_sd_db"):
+                raise ValueError(f"{name} has {count} values, needs {bands}")
         ratio = np.divide(self.frequency_per_mm[1:], self.frequency_per_mm[:-1])
         if np.any(np.abs(ratio / THIRD_OCTAVE - 1) > 0.05):
             raise ValueError("frequency_per_mm must ascend in third octaves (× 1.26 each)")

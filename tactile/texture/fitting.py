@@ -20,7 +20,6 @@ from tactile.errors import InputError
 from tactile.texture import measures
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import (
-    BANDS,
     About,
     Descriptor,
     Friction,
@@ -36,6 +35,8 @@ from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
 from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
 
+BANDS = 16
+"""Number of bands of a fit."""
 FIRST = 25.0
 """Center of the lowest band at the reference speed [Hz]."""
 SPEED_PRIOR = (-1.0, 0.15)

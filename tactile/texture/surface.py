@@ -34,7 +34,7 @@ from tactile.files import SourceFile, find, read_text
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.density import Density
-from tactile.texture.descriptor import BANDS, Descriptor, Events, Laws, Periodic, Stochastic
+from tactile.texture.descriptor import Descriptor, Events, Laws, Periodic, Stochastic
 from tactile.texture.field import Field
 
 GOLDEN = (np.sqrt(5) - 1) / 2
@@ -242,9 +242,9 @@ class Texture:
         Wave vectors of the stochastic part [rad/m].
     amplitude : (M,) array of float
         Peak amplitudes of these waves [m].
-    band_frequency : (16,) array of float
+    band_frequency : (B,) array of float
         Band centers, empty without a stochastic part [cycles/m].
-    band_error_db : (16,) array of float
+    band_error_db : (B,) array of float
         Level of the realized surface above (+) or below (−) that of the descriptor, in the mean
         over directions for an isotropic surface, empty without a stochastic part [dB]. A large
         error marks a band that no isotropic surface with these neighboring bands can have.
@@ -391,10 +391,11 @@ def _fitted(descriptor: Descriptor, partials: int, name: str) -> Texture:
         len(p.harmonics_um) * (JITTER_LINES if p.jitter else 1) for p in descriptor.periodic
     )
     stochastic, remaining = descriptor.stochastic, partials - grating_waves
-    if remaining < (8 * BANDS if stochastic else 0):
+    fewest = 8 * len(stochastic.level_db) if stochastic else 0
+    if remaining < fewest:
         raise InputError(
             f"{name}: partials = {partials}: needs {grating_waves} for its gratings"
-            + (f" and at least {8 * BANDS} for its bands" if stochastic else "")
+            + (f" and at least {fewest} for its bands" if stochastic else "")
         )
     fitted_waves = stochastic_waves(stochastic, remaining) if stochastic else _no_waves()
     frequency, error = np.zeros(0), np.zeros(0)
@@ -471,7 +472,7 @@ def band_edges(stochastic: Stochastic) -> Floats:
 
     Returns
     -------
-    (17,) array of float
+    (B + 1,) array of float
         Edges in ascending order [rad/m].
     """
     edges = third_octaves(np.asarray(stochastic.frequency_per_mm))
@@ -539,10 +540,11 @@ def _directions(stochastic: Stochastic, count: int) -> Floats:
 def _powers(share: Floats, ring: NDArray[np.intp]) -> Floats:
     """Return the power of each wave: one per ring first, then one per wave near its ring."""
     rows, count = share.shape
-    membership = np.equal.outer(ring, np.arange(BANDS)).astype(np.float64)
+    bands = int(ring.max()) + 1
+    membership = np.equal.outer(ring, np.arange(bands)).astype(np.float64)
     ring_power = membership @ nnls(share @ membership, np.ones(rows))[0]
     ring_power = np.maximum(ring_power, 1e-6 * ring_power.max())
-    weight = NEARNESS * np.sqrt(rows / BANDS)
+    weight = NEARNESS * np.sqrt(rows / bands)
     # Rows below those of the bands pull the power of each wave, relative to its ring, to 1.
     matrix = np.concatenate([share * ring_power, weight * np.eye(count)])
     target = np.concatenate([np.ones(rows), np.full(count, weight)])
@@ -571,19 +573,19 @@ def band_shares(waves: Floats, edges: Floats, directions: Floats) -> Floats:
     ----------
     waves : (M, 2) array of float
         Wave vectors [rad/m].
-    edges : (17,) array of float
-        Edges of the bands [rad/m].
+    edges : (B + 1,) array of float
+        Edges of the B bands [rad/m].
     directions : (D,) array of float
         Directions of straight strokes [rad].
 
     Returns
     -------
-    (D, 16, M) array of float
+    (D, B, M) array of float
         1 where a wave falls into a band along a direction, otherwise 0.
     """
     along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
     band = np.digitize(np.abs(along @ waves.T), edges) - 1
-    return np.asarray((band[:, None, :] == np.arange(BANDS)[:, None]).astype(np.float64))
+    return np.asarray((band[:, None, :] == np.arange(len(edges) - 1)[:, None]).astype(np.float64))
 
 
 def band_levels(
@@ -604,7 +606,7 @@ def band_levels(
 
     Returns
     -------
-    (D, 16) array of float
+    (D, B) array of float
         One-sided power spectral density in each band [dB re 1 µm²·mm].
     """
     edges = band_edges(stochastic)

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture.descriptor import (
-    BANDS,
     THIRD_OCTAVE,
     About,
     Descriptor,
@@ -43,6 +42,8 @@ HAND = 20.0
 [Hz]."""
 TOP = 1000.0
 """Highest frequency of a texture [Hz]."""
+BANDS = 16
+"""Number of third octaves below that, which reach down to the motion of the hand."""
 MOST_MODELS, MOST_COEFFICIENTS = 1000, 64
 """Largest number of models, and of coefficients of a model."""
 CATEGORIES = {

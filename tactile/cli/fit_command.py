@@ -188,6 +188,7 @@ def _facts(fit: Fit, verdict: Verdict) -> dict[str, Any]:
         "speed_exponent_error": fit.exponent_error[0],
         "force_exponent_error": fit.exponent_error[1],
         "isotropic_loss_db": _plain(fit.isotropic_loss),
+        "held_out_frequency_per_mm": _plain(verdict.center * 1e-3),
         "held_out_level_db": _plain(verdict.held_out),
         "held_out": {
             name: asdict(side) | {"level": _plain(side.level)}
@@ -245,6 +246,6 @@ def _print_report(fit: Fit, verdict: Verdict) -> None:
         (name, f"{side.rms_db:.2f}", f"{side.absolute_db:.2f}", f"{side.bias_db:+.2f}")
         for name, side in _sides(verdict).items()
     ]
-    print_table(columns, errors, "Difference from the recordings left out, in 16 bands")
+    print_table(columns, errors, "Difference from the recordings left out, 25–800 Hz")
     for note in fit.notes:
         print(f"note: {note}")

@@ -1,11 +1,11 @@
 """Fit of a descriptor to recordings: bands, gratings, statistics, laws and friction.
 
-Each recording becomes strokes of displacement over place. Lines that most recordings share are
-gratings and are subtracted. The rest is measured in 16 third octaves of spatial frequency, which
-lie at 25–800 Hz at the reference speed, and the noise of the sensor is subtracted as power. The
-differences between the levels at different speeds and forces give the exponents, which are held
-near known values where the recordings tell little. What remains from recording to recording is the
-spread of the bands.
+Each recording becomes strokes of displacement over place. Lines that recordings at different speeds
+share are gratings and are subtracted. The rest is measured in third octaves of spatial frequency,
+from 10 Hz at the fastest speed to 800 Hz at the slowest or at 20 mm/s, and the noise of the sensor
+is subtracted as power. The differences between the levels at different speeds and forces give the
+exponents, which are held near known values where the recordings tell little. What remains from
+recording to recording is the spread of the bands.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -14,11 +14,12 @@ from dataclasses import replace as changed
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import measures
-from tactile.texture.bands import third_octaves
+from tactile.texture.bands import BELOW, third_octaves
 from tactile.texture.descriptor import (
     About,
     Descriptor,
@@ -29,16 +30,36 @@ from tactile.texture.descriptor import (
     Stochastic,
 )
 from tactile.texture.friction_fit import PRESSED, fit_friction
-from tactile.texture.lines import HarmonicLines, find_gratings, without
-from tactile.texture.power_laws import level_shift, speed_range
+from tactile.texture.lines import (
+    APART,
+    HarmonicLines,
+    common_lines,
+    differ,
+    find_gratings,
+    without,
+)
+from tactile.texture.power_laws import Number, level_shift, speed_range
 from tactile.texture.recorded_slide import Recorded
-from tactile.texture.slide_strokes import LOWEST, OVERSAMPLING, steady_parts, strokes_of
+from tactile.texture.slide_strokes import (
+    LOWEST,
+    OVERSAMPLING,
+    steady_parts,
+    strokes_of,
+)
 from tactile.texture.surface import band_levels, stochastic_waves, stroke_directions
 
-BANDS = 16
-"""Number of bands of a fit."""
-FIRST = 25.0
-"""Center of the lowest band at the reference speed [Hz]."""
+CORE = 25.0, 800.0
+"""Centers of the lowest and the highest band at the reference speed that every fit has. An assumed
+level and the kurtosis are those of the bands between them: below, a hand and a short recording
+count [Hz]."""
+SLOWEST = 0.02
+"""Speed at which bands reach the higher frequency of `CORE` where no recording is slower, so that a
+texture of fast strokes is not silent in slow ones [m/s]."""
+OUTER = -20, 20
+"""Lowest and highest band of a texture file, 0.01 and 100 cycles/mm, as tenths of the decimal
+logarithm."""
+OCTAVE = 3
+"""Number of bands that are measured together, in segments that suit the lowest of them."""
 SPEED_PRIOR = (-1.0, 0.15)
 """Prior mean and standard deviation of the speed exponent: −0.84 and −0.97 were found for denim and
 corduroy at 20–60 mm/s, from four recordings each (Fradin et al., World Haptics 2023), that is 0.1
@@ -49,8 +70,6 @@ force)."""
 SCATTER = 3.0
 """Rms difference between the levels of recordings (assumed; 2–4 dB in those of Fradin et al.)
 [dB]."""
-SPEEDS_APART = 1.15
-"""Ratio above which two recordings count as having different speeds, or forces."""
 DEFAULT_FORCE = 0.5
 """Normal force where none is given (assumed) [N]."""
 ANCHOR = 1.0
@@ -81,16 +100,16 @@ class Fit:
         File names of the R recordings.
     speed : (R,) array of float
         Mean speed of each recording [m/s].
-    center : (16,) array of float
+    center : (B,) array of float
         Band centers [cycles/m].
-    level : (R, 16) array of float
+    level : (R, B) array of float
         Level of each recording at its own speed, NaN where it does not cover a band
         [dB re 1 µm²·mm].
     gratings : tuple of HarmonicLines
         Gratings that were found.
     exponent_error : tuple of float
         Standard errors of the speed exponent and of the force exponent.
-    isotropic_loss : (16,) array of float
+    isotropic_loss : (B,) array of float
         Level of the nearest isotropic surface above that of the bands [dB].
     notes : tuple of str
         What a reader must know, one line each.
@@ -144,12 +163,15 @@ class RecordingMeasures:
         Reference speed [m/s].
     step : float
         Distance between samples of a stroke [m].
-    center : (16,) array of float
+    center : (B,) array of float
         Band centers [cycles/m].
-    level : (R, 16) array of float
+    level : (R, B) array of float
         Level of each recording, as in `Fit` [dB re 1 µm²·mm].
     gratings : list of HarmonicLines
         Gratings that most strokes have.
+    lines : int
+        Number of lines of recordings at a single speed, which tell no rib from a hum. They are left
+        in the bands.
     """
 
     slides: list[Slide]
@@ -158,6 +180,7 @@ class RecordingMeasures:
     center: Floats
     level: Floats
     gratings: list[HarmonicLines]
+    lines: int
 
     def part(self, rows: Sequence[int]) -> "RecordingMeasures":
         """Select some of the recordings.
@@ -181,6 +204,13 @@ class RecordingMeasures:
             level=self.level[list(rows)],
             gratings=[changed(g, heights=g.heights[strokes]) for g in self.gratings],
         )
+
+    @property
+    def core(self) -> slice:
+        """Bands at the frequencies of `CORE` at the reference speed."""
+        low, high = _core(self.reference)
+        first = round(10 * np.log10(self.center[0] * 1e-3))
+        return slice(low - first, high - first + 1)
 
     @property
     def speed(self) -> Floats:
@@ -209,8 +239,7 @@ def measure_slides(
     noise : Recorded or None
         Recording of the same sensor with nothing sliding.
     reference_speed : float or None
-        Speed at which the texture holds and its bands lie at 25–800 Hz [m/s], by default the
-        geometric mean of the recordings.
+        Speed at which the texture holds [m/s], by default the geometric mean of the recordings.
     progress : callable
         Function that is called with the name of each step.
 
@@ -222,40 +251,54 @@ def measure_slides(
     Raises
     ------
     InputError
-        If the recordings differ in quantity or calibration, are not steady, or are too short.
+        If the recordings differ in quantity or calibration, are not steady, are too short, or are
+        too slow for the bands of a texture.
     """
     _check_together(recordings, noise)
     progress("strokes")
     median_speeds = np.array([np.median(r.speed[r.speed > 0]) for r in recordings])
     reference = reference_speed or float(np.exp(np.log(median_speeds).mean()))
-    center = centers_at(reference)
+    center = _centers(median_speeds, reference)
     step = 1 / (2 * OVERSAMPLING * third_octaves(center)[-1])
-    slides = [_slide(r, step, measures.SHORTEST / center[0]) for r in recordings]
+    shortest = measures.SHORTEST / _numbered(_core(reference)[0])
+    slides = [_slide(r, step, shortest) for r in recordings]
     progress("lines")
     strokes = [u for s in slides for u in s.strokes]
-    lows = np.array([LOWEST / s.speed for s in slides for _ in s.strokes])
-    gratings = find_gratings(strokes, step, lows, third_octaves(center)[-1])
+    speed = np.array([s.speed for s in slides for _ in s.strokes])
+    lines = common_lines(strokes, step, speed, third_octaves(center)[-1])
+    gratings = find_gratings(strokes, step, speed, lines)
     slides = [changed(s, bare=[without(u, step, gratings) for u in s.strokes]) for s in slides]
     progress("bands")
-    level = np.array([_level(s, step, center, noise) for s in slides])
-    return RecordingMeasures(slides, reference, step, center, level, gratings)
+    measured = RecordingMeasures(
+        slides, reference, step, center, np.zeros(0), gratings, 0 if differ(speed) else len(lines)
+    )
+    level = np.array([_level(s, measured, noise) for s in slides])
+    first = min(int(np.argmax(np.isfinite(level).any(axis=0))), measured.core.start)
+    return changed(measured, center=center[first:], level=level[:, first:])
 
 
-def centers_at(speed: float) -> Floats:
-    """Compute the centers of the 16 third octaves that lie at 25–800 Hz at a given speed.
+def _core(reference: float) -> tuple[int, int]:
+    """Return the lowest and highest band at the frequencies of `CORE`, numbered as in `OUTER`."""
+    low, high = (round(10 * np.log10(f / reference * 1e-3)) for f in CORE)
+    if low > OUTER[1] - 3:
+        raise InputError(
+            f"{reference * 1e3:.3g} mm/s: too slow to fit; at least 0.5 mm/s bring {CORE[0]:g} Hz "
+            "into the bands of a texture"
+        )
+    return low, high
 
-    Parameters
-    ----------
-    speed : float
-        Speed [m/s].
 
-    Returns
-    -------
-    (16,) array of float
-        Exact band centers (IEC 61260-1) nearest to that [cycles/m].
-    """
-    first = round(10 * np.log10(FIRST / speed * 1e-3))
-    return np.asarray(10 ** ((first + np.arange(BANDS)) / 10) * 1e3)
+def _centers(speed: Floats, reference: float) -> Floats:
+    """Return the exact band centers (IEC 61260-1) for recordings at given speeds [cycles/m]."""
+    low, high = _core(reference)
+    low = min(low, int(np.ceil(10 * np.log10(LOWEST / BELOW / speed.max() * 1e-3))))
+    high = max(high, round(10 * np.log10(CORE[1] / min(speed.min(), SLOWEST) * 1e-3)))
+    return _numbered(np.arange(max(low, OUTER[0]), min(high, OUTER[1]) + 1))
+
+
+def _numbered(band: Number) -> Number:
+    """Return the centers of bands by their numbers [cycles/m]."""
+    return 1e3 * 10 ** (band / 10)
 
 
 def _check_together(recordings: Sequence[Recorded], noise: Recorded | None) -> None:
@@ -286,38 +329,40 @@ def _slide(recorded: Recorded, step: float, shortest: float) -> Slide:
     return Slide(recorded, speed, pressed, strokes_of(recorded, step, shortest), [])
 
 
-def _level(slide: Slide, step: float, center: Floats, noise: Recorded | None) -> Floats:
-    """Return the levels (16,) of one recording, NaN where it does not cover a band."""
-    power = mean_power(slide.bare, step, center)
+def _level(slide: Slide, measured: RecordingMeasures, noise: Recorded | None) -> Floats:
+    """Return the levels (B,) of one recording, NaN where it does not cover a band."""
+    center = measured.center
+    power = _mean_power(slide.bare, measured)
     if noise is not None:
         standing = changed(noise, speed=np.full(len(noise.signal), slide.speed))
-        own = mean_power(strokes_of(standing, step, measures.SHORTEST / center[0]), step, center)
+        shortest = measures.SHORTEST / center[measured.core.start]
+        own = _mean_power(strokes_of(standing, measured.step, shortest), measured)
         power = np.maximum(power - own, BURIED * power)
     edges = third_octaves(center) * slide.speed
     covered = (edges[:-1] >= 0.9 * LOWEST) & (edges[1:] <= 0.4 * slide.recorded.sample_rate)
     return np.where(covered, 10 * np.log10(np.maximum(power, 1e-30)), np.nan)
 
 
-def mean_power(strokes: list[Floats], step: float, center: Floats) -> Floats:
-    """Compute the mean power spectral density of strokes in each band, weighted by their length.
+def _mean_power(strokes: list[Floats], measured: RecordingMeasures) -> Floats:
+    """Return the mean density (B,) of strokes, weighted by their length [µm²·mm].
 
-    Parameters
-    ----------
-    strokes : list of (S,) array of float
-        Displacement at even steps of place [m].
-    step : float
-        Distance between samples [m].
-    center : (16,) array of float
-        Band centers [cycles/m].
-
-    Returns
-    -------
-    (16,) array of float
-        Mean density [µm²·mm].
+    An octave is measured on strokes of ten periods of its lowest band, and NaN without one. Octaves
+    begin at the lowest band of `CORE`, of which every stroke has as many.
     """
-    levels = [measures.band_spectrum(u, step, center=center) for u in strokes]
-    lengths = [len(u) for u in strokes]
-    return np.asarray(np.average(10 ** (np.array(levels) / 10), axis=0, weights=lengths))
+    center, step, first = measured.center, measured.step, measured.core.start
+
+    def density(octave: Floats) -> Floats:
+        used = [
+            u for u in strokes
+            if octave[0] >= center[first] or len(u) * step * octave[0] >= measures.SHORTEST
+        ]  # fmt: skip
+        if not used:
+            return np.full(len(octave), np.nan)
+        levels = np.array([measures.band_spectrum(u, step, center=octave) for u in used])
+        return np.asarray(np.average(10 ** (levels / 10), axis=0, weights=[len(u) for u in used]))
+
+    starts = range(first % OCTAVE or OCTAVE, len(center), OCTAVE)
+    return np.concatenate([density(octave) for octave in np.split(center, list(starts))])
 
 
 def exponents(speed: Floats, force: Floats, level: Floats) -> tuple[Floats, Floats]:
@@ -389,9 +434,9 @@ def describe(
     )
     laws = _laws(measured, exponent)
     law = level_shift(laws, reference, measured.speed, measured.force)
-    bands, spread = _bands(measured.level - law[:, None], measured.center)
+    bands, spread = _bands(measured.level - law[:, None], measured)
     calibrated = measured.slides[0].recorded.calibrated
-    anchor = 0.0 if calibrated else _anchor(bands, measured.center)
+    anchor = 0.0 if calibrated else _anchor(bands, measured)
     gain = np.repeat(10 ** ((anchor - law) / 20), [len(s.strokes) for s in measured.slides])
     progress("statistics")
     stochastic = _stochastic(measured, bands + anchor, spread)
@@ -431,51 +476,58 @@ def _over_common_bands(level: Floats) -> Floats:
     return np.asarray(level[:, common].mean(axis=1))
 
 
-def _bands(level: Floats, center: Floats) -> tuple[Floats, Floats]:
-    """Return mean and spread (16,) over recordings, extended linearly where none covers a band."""
+def _bands(level: Floats, measured: RecordingMeasures) -> tuple[Floats, Floats]:
+    """Return mean and spread (B,) over recordings, extended linearly where none covers a band.
+
+    The mean is that of recordings brought to their common level, so that it has no step where one
+    of them ends.
+    """
     known = np.isfinite(level).any(axis=0)
-    total = np.where(np.isfinite(level), level, 0).sum(axis=0)
+    strength = _over_common_bands(level)[:, None]
     count = np.isfinite(level).sum(axis=0)
-    mean = total / np.maximum(count, 1)
+    even = level - strength + strength.mean()
+    mean = np.where(np.isfinite(level), even, 0).sum(axis=0) / np.maximum(count, 1)
     square = np.where(np.isfinite(level), (level - mean) ** 2, 0).sum(axis=0)
     spread = np.sqrt(square / np.maximum(count - 1, 1))
-    x = np.log10(center)
+    x = np.log10(measured.center)
     slope = np.polyfit(x[known], mean[known], 1)[0] if known.sum() > 1 else -10.0
     ends = np.flatnonzero(known)[[0, -1]]
-    held = np.interp(x, x[known], _smoothed(mean[known], level[:, known]))
+    precise = np.isfinite(level).all(axis=0) & (np.arange(len(x)) >= measured.core.start)
+    held = np.interp(x, x[known], _smoothed(mean[known], level[:, known], precise[known]))
     held += slope * np.minimum(x - x[ends[0]], 0) + slope * np.maximum(x - x[ends[1]], 0)
     return held, spread
 
 
-def _smoothed(mean: Floats, level: Floats) -> Floats:
+def _smoothed(mean: Floats, level: Floats, precise: NDArray[np.bool_]) -> Floats:
     """Return the mean (B,) of levels (R, B), smoothed as far as their scatter hides its shape.
 
     Second differences of the mean have the variance of those of the true spectrum, r², plus 6 times
-    the variance s² of the mean, which the recordings tell, each without its own mean level. The
-    most probable spectrum then minimizes Σ (x − mean)²/s² + Σ (second difference of x)²/r². One
-    recording tells no scatter, and its bands stay as they are.
+    the variance s² of the mean, which the recordings tell in the bands (B,) that are precise, each
+    without its own mean level. The most probable spectrum then minimizes Σ (x − mean)²/s² + Σ
+    (second difference of x)²/r². One recording tells no scatter, and its bands stay as they are.
     """
-    common = np.isfinite(level).all(axis=0)
-    if len(level) < 2 or common.sum() < 3:
+    if len(level) < 2 or precise.sum() < 3:
         return mean
-    shape = level[:, common] - level[:, common].mean(axis=1, keepdims=True)
+    shape = level[:, precise] - level[:, precise].mean(axis=1, keepdims=True)
     variance = float(shape.var(axis=0, ddof=1).mean()) / len(level)
-    rough = float(np.mean(np.diff(mean[common], 2) ** 2)) - 6 * variance
+    rough = float(np.mean(np.diff(mean[precise], 2) ** 2)) - 6 * variance
     second = np.diff(np.eye(len(mean)), 2, axis=0)
     stiffness = variance / max(rough, SMOOTHEST**2)
     return np.asarray(np.linalg.solve(np.eye(len(mean)) + stiffness * second.T @ second, mean))
 
 
-def _anchor(bands: Floats, center: Floats) -> float:
+def _anchor(bands: Floats, measured: RecordingMeasures) -> float:
     """Return the gain that brings uncalibrated bands to `ANCHOR` [dB]."""
-    width = np.diff(third_octaves(center)) * 1e-3
-    return float(20 * np.log10(ANCHOR) - 10 * np.log10(np.sum(10 ** (bands / 10) * width)))
+    width = np.diff(third_octaves(measured.center)) * 1e-3
+    power = (10 ** (bands / 10) * width)[measured.core]
+    return float(20 * np.log10(ANCHOR) - 10 * np.log10(np.sum(power)))
 
 
 def _stochastic(measured: RecordingMeasures, bands: Floats, spread: Floats) -> Stochastic:
     """Return the random part. Its kurtosis is at least that of its modulation alone."""
     strokes = [u for slide in measured.slides for u in slide.bare]
-    lengths, step, center = [len(u) for u in strokes], measured.step, measured.center
+    lengths, step = [len(u) for u in strokes], measured.step
+    center = measured.center[measured.core]
     corners = [measures.am_corner(u, step, center=center) for u in strokes]
     corner = float(np.clip(np.nanmedian([*corners, USUAL_CORNER]), 10.0, 1000.0))
     depths = [measures.am_depth(u, step, corner, center=center) for u in strokes]
@@ -484,7 +536,7 @@ def _stochastic(measured: RecordingMeasures, bands: Floats, spread: Floats) -> S
     kurtosis = float(np.average(peaked, weights=lengths))
     alone = 3 * ((1 + depth**2) ** 4 - 1)
     return Stochastic(
-        frequency_per_mm=tuple(_digits(c * 1e-3) for c in center),
+        frequency_per_mm=tuple(_digits(c * 1e-3) for c in measured.center),
         level_db=tuple(np.round(bands, 1).tolist()),
         level_sd_db=tuple(np.round(spread, 1).tolist()) if len(measured.slides) > 2 else (),
         excess_kurtosis=round(float(np.clip(kurtosis, alone, 30)), 2),
@@ -496,10 +548,9 @@ def _stochastic(measured: RecordingMeasures, bands: Floats, spread: Floats) -> S
 def _with_direction(stochastic: Stochastic) -> tuple[Stochastic, Floats]:
     """Return the bands, with a direction if an isotropic surface misses them by too much.
 
-    The error (16,) of the isotropic surface [dB] is returned as well.
+    The error (B,) of the isotropic surface [dB] is returned as well.
     """
-    count = 8 * BANDS
-    waves = stochastic_waves(stochastic, count)
+    waves = stochastic_waves(stochastic, 8 * len(stochastic.level_db))
     levels = band_levels(*waves, stochastic, stroke_directions(stochastic))
     loss = 10 * np.log10(np.mean(10 ** (levels / 10), axis=0)) - np.asarray(stochastic.level_db)
     if np.abs(loss).max() <= LARGEST_LOSS:
@@ -527,7 +578,7 @@ def _laws(measured: RecordingMeasures, exponent: Floats) -> Laws:
     """Return laws of speed, extrapolated, and of force, held 15 % beyond what was recorded."""
     slow, fast = speed_range(float(measured.speed.min()), float(measured.speed.max()))
     forces = np.concatenate([_force_span(slide) for slide in measured.slides])
-    light, firm = float(forces.min()) / SPEEDS_APART, float(forces.max()) * SPEEDS_APART
+    light, firm = float(forces.min()) / APART, float(forces.max()) * APART
     return Laws(
         speed_exponent=round(float(exponent[0]), 2),
         speed_range_mm_s=(_digits(slow, 3), _digits(fast, 3)),
@@ -561,13 +612,14 @@ def _notes(measured: RecordingMeasures) -> Iterator[str]:
         yield f"uncalibrated: its level is assumed, {ANCHOR:g} µm rms; give --full-scale"
     if first.quantity == "force":
         yield "from force through 1 N/mm of skin: too strong above 100 Hz"
-    if speed.max() < SPEEDS_APART * speed.min():
+    if not differ(speed):
         yield f"one speed: the speed exponent is assumed, {SPEED_PRIOR[0]:g}"
-        if measured.gratings:
-            yield "one speed: a line may be a hum; record a second speed"
+        if measured.lines:
+            lines = f"{measured.lines} line{'s' * (measured.lines > 1)}"
+            yield f"one speed: {lines} left in the bands; record a second speed"
     if first.normal_force is None:
         yield f"normal force not told: {DEFAULT_FORCE:g} N assumed"
-    elif force.max() < SPEEDS_APART * force.min():
+    elif not differ(force):
         yield f"one force: the force exponent is assumed, {FORCE_PRIOR[0]:g}"
     unknown = ~np.isfinite(measured.level).any(axis=0)
     if unknown.any():

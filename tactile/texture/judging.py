@@ -1,9 +1,10 @@
 """Assessment of a fit on recordings that were held out, beside references for comparison.
 
 The recordings are halved (a single recording in time), a texture is fitted to one half, realized
-and slid over, and its 16 bands are compared with those of the other half. Three references stand
-beside it: the ceiling, which compares the halves themselves; a floor, white noise of the same
-power; and an autoregressive model of order 8 of the same half, as other systems use it.
+and slid over, and its bands from 25 to 800 Hz at the reference speed are compared with those of the
+other half. Three references stand beside it: the ceiling, which compares the halves themselves; a
+floor, white noise of the same power; and an autoregressive model of order 8 of the same half, as
+other systems use it.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +40,7 @@ class Candidate:
 
     Attributes
     ----------
-    level : (16,) array of float
+    level : (C,) array of float
         Levels of the spectrum [dB re 1 µm²·mm].
     rms_db : float
         Log-spectral distance, the rms difference over bands [dB].
@@ -61,7 +62,9 @@ class Verdict:
 
     Attributes
     ----------
-    held_out : (16,) array of float
+    center : (C,) array of float
+        Centers of the bands that are compared, 25–800 Hz at the reference speed [cycles/m].
+    held_out : (C,) array of float
         Levels of the half that was not fitted [dB re 1 µm²·mm].
     rendering : Candidate
         Strokes over the texture that was fitted.
@@ -73,6 +76,7 @@ class Verdict:
         Autoregressive model of order 8.
     """
 
+    center: Floats
     held_out: Floats
     rendering: Candidate
     ceiling: Candidate
@@ -85,9 +89,9 @@ def beside(level: Floats, held_out: Floats) -> Candidate:
 
     Parameters
     ----------
-    level : (16,) array of float
+    level : (C,) array of float
         Levels, NaN where unknown [dB].
-    held_out : (16,) array of float
+    held_out : (C,) array of float
         Levels held out, NaN where unknown [dB].
 
     Returns
@@ -153,8 +157,7 @@ def fit_texture(
     noise : Recorded or None
         Recording of the same sensor with nothing sliding.
     reference_speed : float or None
-        Speed at which the texture holds and its bands lie at 25–800 Hz [m/s], by default the
-        geometric mean of the recordings.
+        Speed at which the texture holds [m/s], by default the geometric mean of the recordings.
     progress : callable
         Function that is called with the name of each step.
 
@@ -209,9 +212,10 @@ def judge(measured: RecordingMeasures, about: About) -> Verdict:
 def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) -> Verdict:
     """Fit one part of the recordings and compare with another, each at its own speed and force.
 
-    Bands are compared as the mean level over recordings, brought to the reference speed and force
-    by the laws that were fitted to the first part. The renderer applies the same laws, so that the
-    error is that of strokes rendered at the speeds and forces of the second part.
+    Bands of 25–800 Hz at the reference speed are compared as the mean level over recordings,
+    brought to the reference speed and force by the laws that were fitted to the first part. The
+    renderer applies the same laws, so that the error is that of strokes rendered at the speeds and
+    forces of the second part.
 
     Parameters
     ----------
@@ -238,17 +242,18 @@ def predict(seen: RecordingMeasures, unseen: RecordingMeasures, about: About) ->
 
     def at_reference(part: RecordingMeasures) -> Floats:
         law = level_shift(laws, fit.descriptor.reference, part.speed, part.force)
-        return np.asarray((part.level - law[:, None]).mean(axis=0))
+        return np.asarray((part.level - law[:, None]).mean(axis=0)[part.core])
 
-    seen_level, held_out = at_reference(seen), at_reference(unseen)
-    anchor = np.nanmean(np.asarray(stochastic.level_db) - seen_level)
+    center, seen_level, held_out = seen.center[seen.core], at_reference(seen), at_reference(unseen)
+    anchor = np.nanmean(np.asarray(stochastic.level_db)[seen.core] - seen_level)
     held_out = held_out + anchor
-    rendered = rendered_levels(stochastic, seen.center)
+    rendered = rendered_levels(stochastic, center)
     return Verdict(
+        center=center,
         held_out=held_out,
         rendering=beside(rendered, held_out),
         ceiling=beside(seen_level + anchor, held_out),
-        white=beside(_white(rendered, seen.center), held_out),
+        white=beside(_white(rendered, center), held_out),
         autoregressive=beside(_autoregressive(seen, rendered), held_out),
     )
 
@@ -260,12 +265,12 @@ def rendered_levels(stochastic: Stochastic, center: Floats) -> Floats:
     ----------
     stochastic : Stochastic
         Random part of a texture.
-    center : (16,) array of float
+    center : (C,) array of float
         Band centers [cycles/m].
 
     Returns
     -------
-    (16,) array of float
+    (C,) array of float
         Levels of the mean power over strokes [dB re 1 µm²·mm].
     """
     strokes, step = rendered_strokes(stochastic, center)
@@ -280,7 +285,7 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
     ----------
     stochastic : Stochastic
         Random part of a texture.
-    center : (16,) array of float
+    center : (C,) array of float
         Band centers, which set the length and the sampling of strokes [cycles/m].
 
     Returns
@@ -307,14 +312,14 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
 
 
 def _white(levels: Floats, center: Floats) -> Floats:
-    """Return the levels (16,) of white noise of the same power as given levels."""
+    """Return the levels (C,) of white noise of the same power as given levels."""
     width = np.diff(third_octaves(center))
     power = np.sum(10 ** (levels / 10) * width) / width.sum()
     return np.full(len(levels), 10 * np.log10(power))
 
 
 def _autoregressive(seen: RecordingMeasures, levels: Floats) -> Floats:
-    """Return the bands (16,) of an autoregressive model of the recordings, with given mean level.
+    """Return the bands (C,) of an autoregressive model of the recordings, with given mean level.
 
     The Yule-Walker equations are solved for the autocorrelation of the recorded quantity over
     place.
@@ -328,7 +333,7 @@ def _autoregressive(seen: RecordingMeasures, levels: Floats) -> Floats:
     model = solve_toeplitz(autocorrelation[:ORDER], autocorrelation[1:])
     turn = np.exp(-2j * np.pi * np.outer(frequency * seen.step, np.arange(1, ORDER + 1)))
     density = 1 / np.abs(1 - turn @ model) ** 2 / weight
-    edges = third_octaves(seen.center)
+    edges = third_octaves(seen.center[seen.core])
     band = np.digitize(frequency, edges) - 1
     mean = np.array([10 * np.log10(density[band == k].mean()) for k in range(len(levels))])
     return np.asarray(mean + np.mean(levels - mean))

@@ -1,9 +1,9 @@
 """Lines in the spatial spectra of recordings: what repeats along a surface, and its waveform.
 
 A line is a peak of the periodogram of a whole stroke that rises above its surroundings by more than
-chance, at the same spatial frequency in most of the recordings. Recordings at different speeds tell
-a rib from a hum, whose frequency in time stays the same. Lines at multiples of one spatial
-frequency form one grating.
+chance, at the same spatial frequency in most of the recordings. Lines at multiples of one spatial
+frequency form one grating, if recordings at different speeds tell it from a hum, whose frequencies
+in time stay the same.
 """
 
 from collections.abc import Sequence
@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 from scipy.ndimage import median_filter
 from scipy.signal import detrend, find_peaks, zoom_fft
 from scipy.signal.windows import blackmanharris
 
 from tactile.arrays import Complex, Floats
+from tactile.texture.slide_strokes import LOWEST
 
 PROMINENCE = 13.0
 """Ratio of the power of a line to the mean power around it. A share of 2e-6 of all bins of noise
@@ -25,10 +27,12 @@ ALONE = 20.0
 TOLERANCE = 0.015
 """Largest relative difference of the spatial frequency of a line between recordings, from the
 accuracy of the speed."""
+APART = 1.15
+"""Ratio from which on two speeds, or two forces, count as different."""
 NEIGHBORHOOD = 0.5
 """Width of the median that estimates the power around a line [octaves]."""
 PADDING = 4
-"""Factor by which strokes are zero-padded for their spectrum."""
+"""Factor by which strokes are zero-padded at least for their spectrum."""
 PLACES = 61
 """Number of spatial frequencies, within the tolerance, at which the fundamental of one stroke is
 searched."""
@@ -36,6 +40,26 @@ MOST_HARMONICS = 32
 """Highest order of a harmonic."""
 HARMONIC = 0.02
 """Largest relative deviation of a harmonic from a multiple of the fundamental."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line that most strokes have.
+
+    Attributes
+    ----------
+    frequency : float
+        Spatial frequency [cycles/m].
+    strokes : tuple of int
+        Indices of the strokes that have it.
+    is_hum : bool
+        Whether most of these strokes, at different speeds, also have a line at the temporal
+        frequency that it has in the others.
+    """
+
+    frequency: float
+    strokes: tuple[int, ...]
+    is_hum: bool
 
 
 @dataclass(frozen=True)
@@ -85,7 +109,7 @@ def peaks(stroke: Floats, step: float, low: float, high: float, prominence: floa
     (L,) array of float
         Spatial frequencies of the lines, interpolated between bins [cycles/m].
     """
-    count = PADDING * len(stroke)
+    count = next_fast_len(PADDING * len(stroke), real=True)
     spectrum = np.fft.rfft(detrend(stroke) * blackmanharris(len(stroke)), count)
     power = np.abs(spectrum) ** 2
     frequency = np.asarray(np.fft.rfftfreq(count, step), np.float64)
@@ -115,12 +139,27 @@ def _surroundings(frequency: Floats, power: Floats) -> Floats:
     return np.asarray(np.interp(frequency, even, median / np.log(2)))
 
 
-def common_lines(
-    strokes: Sequence[Floats], step: float, lows: Floats, high: float
-) -> list[tuple[float, int]]:
+def differ(values: Floats) -> bool:
+    """Return whether speeds, or forces, are not all the same.
+
+    Parameters
+    ----------
+    values : (R,) array of float
+        Speeds or forces of recordings, above 0.
+
+    Returns
+    -------
+    bool
+        Whether the largest one is at least 1.15 times the smallest one.
+    """
+    return bool(values.max() >= APART * values.min())
+
+
+def common_lines(strokes: Sequence[Floats], step: float, speed: Floats, high: float) -> list[Line]:
     """Find the lines that most of the strokes have.
 
-    A line must be found in more than half of the strokes that reach down to its frequency.
+    A line must be found in more than half of the strokes that reach down to its frequency, to 10
+    Hz.
 
     Parameters
     ----------
@@ -128,40 +167,58 @@ def common_lines(
         Displacement of strokes over one texture, in any unit.
     step : float
         Distance between samples [m].
-    lows : (R,) array of float
-        Spatial frequency from which on each stroke is reliable [cycles/m].
+    speed : (R,) array of float
+        Speed of each stroke [m/s].
     high : float
         Highest spatial frequency of a line [cycles/m].
 
     Returns
     -------
-    list of (float, int)
-        Spatial frequency of each line [cycles/m], ascending, and the number of strokes that have
-        it.
+    list of Line
+        Lines in ascending order.
     """
-    prominence = ALONE if len(strokes) == 1 else PROMINENCE
+    prominence, lows = ALONE if len(strokes) == 1 else PROMINENCE, LOWEST / speed
     places = [peaks(u, step, low, high, prominence) for u, low in zip(strokes, lows, strict=True)]
     owner = np.repeat(np.arange(len(places)), [len(p) for p in places])
     every = np.concatenate(places)
     order = np.argsort(every)
     every, owner = every[order], owner[order]
-    lines: list[tuple[float, int]] = []
+    lines: list[Line] = []
     k = 0
     while k < len(every):
         close = every <= every[k] * (1 + 2 * TOLERANCE)
         close[:k] = False
-        if len(set(owner[close])) > np.count_nonzero(lows <= every[k]) // 2:
-            lines.append((float(np.median(every[close])), len(set(owner[close]))))
+        owners = tuple(sorted(set(owner[close].tolist())))
+        if len(owners) > np.count_nonzero(lows <= every[k]) // 2:
+            frequency = float(np.median(every[close]))
+            lines.append(Line(frequency, owners, _is_hum(frequency, owners, speed, places)))
             k = int(np.flatnonzero(close)[-1]) + 1
         else:
             k += 1
     return lines
 
 
+def _is_hum(frequency: float, owners: tuple[int, ...], speed: Floats, places: list[Floats]) -> bool:
+    """Return whether strokes that have a line also have those that it would be as a hum.
+
+    Harmonics of a hum meet at one spatial frequency if speeds have a simple ratio: those of 50 Hz
+    at 100 Hz and 20 mm/s, and at 150 Hz and 30 mm/s.
+    """
+    pairs = [(i, j) for i in owners for j in owners if differ(speed[[i, j]])]
+    hums = [
+        np.any(np.abs(places[j] * speed[j] / (frequency * speed[i]) - 1) <= 2 * TOLERANCE)
+        for i, j in pairs
+    ]
+    return len(hums) > 0 and float(np.mean(hums)) > 0.5
+
+
 def find_gratings(
-    strokes: Sequence[Floats], step: float, lows: Floats, high: float
+    strokes: Sequence[Floats], step: float, speed: Floats, lines: Sequence[Line]
 ) -> list[HarmonicLines]:
-    """Find the gratings that most of the strokes have.
+    """Find the gratings among the lines that most of the strokes have.
+
+    More of its harmonics must occur at different speeds than are those of a hum. At a single speed
+    there are no gratings.
 
     Parameters
     ----------
@@ -169,33 +226,37 @@ def find_gratings(
         Displacement of strokes over one texture, in any unit.
     step : float
         Distance between samples [m].
-    lows : (R,) array of float
-        Spatial frequency from which on each stroke is reliable [cycles/m].
-    high : float
-        Highest spatial frequency of a line [cycles/m].
+    speed : (R,) array of float
+        Speed of each stroke [m/s].
+    lines : sequence of Line
+        Lines that most strokes have, by `common_lines`.
 
     Returns
     -------
     list of HarmonicLines
         Gratings, strongest first.
     """
-    remaining = common_lines(strokes, step, lows, high)
+    differs = {line: differ(speed[list(line.strokes)]) for line in lines}
+    reach = {line: speed >= LOWEST / line.frequency for line in lines}
+    # A line of one speed is a hum if another speed reaches it.
+    remaining = [line for line in lines if differs[line] or not differ(speed[reach[line]])]
     gratings = []
     while remaining:
-        first, count = remaining[0]
-        order = [round(line / first) for line, _ in remaining]
+        first = remaining[0]
+        order = [round(line.frequency / first.frequency) for line in remaining]
         is_harmonic = [
-            k <= MOST_HARMONICS and abs(line / first - k) <= HARMONIC * k
-            for (line, _), k in zip(remaining, order, strict=True)
+            k <= MOST_HARMONICS and abs(line.frequency / first.frequency - k) <= HARMONIC * k
+            for line, k in zip(remaining, order, strict=True)
         ]
-        members = [
-            (line, k) for (line, _), k, n in zip(remaining, order, is_harmonic, strict=True) if n
-        ]
-        weight = np.array([k for _, k in members], np.float64)
-        base = float(np.sum([line * k for line, k in members]) / np.sum(weight**2))
-        orders = tuple(sorted({k for _, k in members}))
-        gratings.append(_fitted_grating(strokes, step, lows <= base, base, orders, count))
+        members = [(line, k) for line, k, n in zip(remaining, order, is_harmonic, strict=True) if n]
         remaining = [line for line, n in zip(remaining, is_harmonic, strict=True) if not n]
+        if sum(differs[line] - 2 * line.is_hum for line, _ in members) <= 0:
+            continue
+        weight = np.array([k for _, k in members], np.float64)
+        base = float(np.sum([line.frequency * k for line, k in members]) / np.sum(weight**2))
+        orders = tuple(sorted({k for _, k in members}))
+        covers = speed >= LOWEST / base
+        gratings.append(_fitted_grating(strokes, step, covers, base, orders, len(first.strokes)))
     return sorted(gratings, key=lambda g: -float(np.nansum(g.heights**2)))
 
 

@@ -9,6 +9,7 @@ kurtosis and modulation of the ``[stochastic]`` part are measured.
 """
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.signal import butter, detrend, sosfiltfilt
 from scipy.signal.windows import tukey
@@ -68,8 +69,8 @@ def band_spectrum(signal: Floats, step: float, *, center: Floats = CENTERS) -> F
     signal = _checked(signal, step, center)
     size = min(signal.shape[-1], round(SEGMENT / (center[0] * step)))
     window = np.hanning(size + 1)[:-1]
-    starts = range(0, signal.shape[-1] - size + 1, max(size // 2, 1))
-    density = np.mean([_periodogram(signal[..., k : k + size], window) for k in starts], axis=0)
+    segments = sliding_window_view(signal, size, axis=-1)[..., :: max(size // 2, 1), :]
+    density = _periodogram(segments, window).mean(axis=-2)
     return 10 * np.log10(np.maximum(_band_means(density * step * 1e15, size * step, center), 1e-30))
 
 

@@ -45,14 +45,18 @@ def test_biotac_slides_are_met_and_told_apart_on_the_half_that_was_held_out(
 def test_fabrics_fitted_at_two_speeds_are_rendered_as_they_are_at_others(
     figures: dict[str, Figure],
 ) -> None:
-    """Strokes are within 3.1 dB of recordings at twice the speed, and 3.5 dB at half of it.
+    """Strokes are within 3.1 dB of recordings at twice the speed, and at half of it.
 
-    One recording predicts another one, by the exact law, within 3.3 dB. At half the speed, where
-    the goal of 3.1 dB is not reached, third octaves above the texture's bands do not count.
+    One recording predicts another one, by the exact law, within 3.3 dB.
     """
-    for way, error in (("faster", 3.1), ("slower.in_bands", 3.5)):
-        assert figures[f"fit.fabrics.{way}.absolute"].value <= error
-        assert abs(figures[f"fit.fabrics.{way}.bias"].value) <= 1.0
+    for way in ("faster", "slower"):
+        assert figures[f"fit.fabrics.{way}.absolute"].reached
+        assert figures[f"fit.fabrics.{way}.bias"].reached
+
+
+def test_the_hum_of_a_robot_at_one_speed_is_no_rib(figures: dict[str, Figure]) -> None:
+    """Ten lines of these materials lie at 560–610 Hz, whatever the material."""
+    assert figures["fit.biotac.with_gratings"].value == 0
 
 
 @pytest.mark.parametrize("name", fit.FABRIC_NAMES)

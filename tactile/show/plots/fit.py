@@ -36,7 +36,7 @@ def fit_figure(fit: Fit, verdict: Verdict) -> "Figure":
     figure = new_figure(8.0, 7.0)
     bands, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     _bands(bands, fit)
-    _errors(errors, fit, verdict)
+    _errors(errors, verdict)
     named = errors.get_legend_handles_labels()
     figure.legend(*named, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     about = fit.descriptor.texture
@@ -85,9 +85,9 @@ def _bands(axes: "Axes", fit: Fit) -> None:
     plain(axes)
 
 
-def _errors(axes: "Axes", fit: Fit, verdict: Verdict) -> None:
+def _errors(axes: "Axes", verdict: Verdict) -> None:
     """Draw the difference of models from the held-out half, over spatial frequency."""
-    k = fit.center * 1e-3
+    k = verdict.center * 1e-3
     sides = (
         ("recordings themselves", verdict.ceiling, GRAY, "--"),
         ("this texture", verdict.rendering, BLUE, "-"),

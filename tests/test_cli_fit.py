@@ -58,7 +58,8 @@ def test_json_and_a_picture(fit: Command, tmp_path: Path) -> None:
         "this texture", "the recordings themselves", "autoregressive, order 8", "white noise",
     }  # fmt: skip
     assert told["descriptor"]["periodic"][0]["wavelength_mm"] == pytest.approx(2.6, rel=0.005)
-    assert len(told["frequency_per_mm"]) == len(told["isotropic_loss_db"]) == 16
+    assert len(told["frequency_per_mm"]) == len(told["isotropic_loss_db"]) == 24
+    assert len(told["held_out_frequency_per_mm"]) == len(told["held_out_level_db"]) == 16
     assert (tmp_path / "ribs.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -36,6 +36,7 @@ from tactile.texture.picture import HeightMap
 from tactile.texture.relief import (
     CENTERS,
     EDGES,
+    FEWEST,
     leveled,
     orientation_of,
     spectrum_of,
@@ -100,7 +101,7 @@ def test_a_weave_is_two_gratings() -> None:
 def test_a_random_field_has_no_gratings(shape: Callable[[Floats, Floats], Floats]) -> None:
     for seed in range(2):
         height, _ = leveled(field(seed, shape)[::-1])
-        lines, left = take_lines(height, PIXEL, finest=EDGES[-1], least=LEVEL / 2)
+        lines, left = take_lines(height, PIXEL, finest=EDGES[FEWEST], least=LEVEL / 2)
         assert lines == []
         assert np.array_equal(left, height)
 
@@ -122,7 +123,7 @@ def test_bands_of_an_isotropic_field_are_those_of_its_closed_form() -> None:
     square[0, 0] = np.inf
     cell = (fine[1] - fine[0]) ** 2
     scale = (2e-6) ** 2 / np.sum(square**-1.5 * cell)
-    f = np.array([np.linspace(a, b, 50) for a, b in pairwise(EDGES)])
+    f = np.array([np.linspace(a, b, 50) for a, b in pairwise(EDGES[: FEWEST + 1])])
     known = 4 * scale * end / ((f**2 + knee**2) * np.sqrt(f**2 + knee**2 + end**2))
     assert measured == pytest.approx(10 * np.log10(known.mean(axis=1) * 1e15), abs=1.0)
 
@@ -159,10 +160,10 @@ def test_a_directional_field_has_its_direction_and_spread(degrees: float, spread
 
 
 def stroke_density(signal: Floats) -> Floats:
-    """Return the 16 band levels [dB re 1 m² m] of strokes (..., N), by one-dimensional means."""
+    """Return the 16 lowest levels [dB re 1 m² m] of strokes (..., N), by one-dimensional means."""
     f, density = welch(signal, 1 / PIXEL, "hann", COUNT, detrend=False)
     mean = density.reshape(-1, len(f)).mean(axis=0)
-    fine = np.linspace(EDGES[:-1], EDGES[1:], 20)
+    fine = np.linspace(EDGES[:FEWEST], EDGES[1 : FEWEST + 1], 20)
     return np.asarray(10 * np.log10(np.interp(fine, f, mean).mean(axis=0)))
 
 
@@ -203,13 +204,34 @@ def test_twice_the_height_is_6_db_and_twice_the_amplitude() -> None:
 
 
 def test_twice_the_pixel_is_twice_the_wavelength_and_the_spectrum_moves_three_bands() -> None:
-    """P(f) of h(x/2) is 2 P(2 f): three bands lower and 3 dB more."""
+    """P(f) of h(x/2) is 2 P(2 f): three bands lower and 3 dB more.
+
+    The finer pixels, 26.8 µm, resolve three more bands: to 17.9 of at most 18.7 cycles/mm.
+    """
     height = field(4, isotropic, 1e-6) + plane_wave(1.0e-3, 50, 1e-6)
     one, two = made(height, PIXEL / 2), made(height, PIXEL)
     ratio = two.descriptor.periodic[0].wavelength_mm / one.descriptor.periodic[0].wavelength_mm
     assert ratio == pytest.approx(2, rel=1e-3)
-    moved = bands_of(two)[:-3] - bands_of(one)[3:]
-    assert moved == pytest.approx(np.full(13, 10 * math.log10(2)), abs=0.6)
+    assert len(bands_of(one)) == 19
+    moved = bands_of(two) - bands_of(one)[3:]
+    assert moved == pytest.approx(np.full(16, 10 * math.log10(2)), abs=0.6)
+
+
+@pytest.mark.parametrize(("pixel_um", "bands"), [(53.5, 16), (45, 16), (44, 17), (17, 21), (2, 21)])
+def test_a_finer_picture_has_more_bands_up_to_25_cycles_per_mm(pixel_um: float, bands: int) -> None:
+    """Each ends within half of the sampling frequency: at 11.2 of 11.4 cycles/mm for 44 µm."""
+    spectrum = spectrum_of(field(1, isotropic), pixel_um * 1e-6)
+    assert len(stroke_levels(spectrum, None)) == len(spectrum.edges) - 1 == bands
+    assert spectrum.edges[-1] == pytest.approx(1e3 * CENTERS[bands - 1] * 10**0.05, rel=0.02)
+
+
+def test_bands_that_a_fine_picture_adds_end_where_rounding_begins() -> None:
+    """Pixels of 17 µm resolve 25 cycles/mm; white rounding of 60 nm covers what falls to it."""
+    height = np.pad(field(2, lambda number, _: number**-2.5, 1e-6), (0, COUNT), "symmetric")
+    fine, coarse = (made(height, 17e-6, level) for level in (0.1e-9, 60e-9))
+    assert len(bands_of(fine)) == 21
+    assert FEWEST <= len(bands_of(coarse)) < 21
+    assert bands_of(coarse)[:10] == pytest.approx(bands_of(fine)[:10], abs=0.5)
 
 
 def test_a_quarter_turn_of_the_picture_turns_directions_by_90() -> None:
@@ -247,10 +269,10 @@ def test_an_envelope_is_found_with_its_depth_and_the_kurtosis_it_makes() -> None
     variance, fine = 0.08, lambda number, direction: np.where(number > 1500, number**-1.0, 0.0)
     slow = field(11, lambda number, direction: np.where(number < 150, 1.0, 0.0), 1.0)
     slow *= math.sqrt(variance) / slow.std()
-    found = unsteadiness_of(field(10, fine) * np.exp(slow), PIXEL)
+    found = unsteadiness_of(field(10, fine) * np.exp(slow), PIXEL, EDGES[FEWEST])
     assert found.am_depth == pytest.approx(math.sqrt(math.expm1(variance)), rel=0.25)
     assert found.excess_kurtosis == pytest.approx(3 * math.expm1(4 * variance), rel=0.35)
-    steady = unsteadiness_of(field(10, fine), PIXEL)
+    steady = unsteadiness_of(field(10, fine), PIXEL, EDGES[FEWEST])
     assert steady.am_depth is not None
     assert steady.am_depth < 0.08
     assert steady.excess_kurtosis < 0.1
@@ -299,7 +321,7 @@ def test_a_small_picture_says_which_bands_are_assumed_and_holds_their_rms() -> N
     result = made(field(1, isotropic)[:192])
     bands = bands_of(result)
     first = CENTERS.index(0.4)
-    rms = bands + 10 * np.log10(CENTERS)
+    rms = bands + 10 * np.log10(CENTERS[:FEWEST])
     assert rms[:first] == pytest.approx(np.full(first, rms[first]), abs=0.02)
     assert any(note.startswith("bands below 0.4 cycles/mm are assumed") for note in result.notes)
     assert any(note.startswith("am_depth is 0") for note in result.notes)

@@ -20,10 +20,14 @@ from tactile.texture.gratings import hann
 
 CENTERS = (
     0.25, 0.316, 0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0,
+    10.0, 12.5, 16.0, 20.0, 25.0,
 )  # fmt: skip
-"""Band centers of the shipped textures [cycles/mm]."""
+"""Band centers of the shipped textures up to 8, and those beyond that a fine picture adds
+[cycles/mm]. Skin has not been observed at finer relief."""
 EDGES = third_octaves(np.array(CENTERS)) * 1e3
 """Band edges, the same as those of `surface.band_edges` [cycles/m]."""
+FEWEST = 16
+"""Number of bands that every picture has, up to 8 cycles/mm, which the largest pixel samples."""
 PERIODS = 4
 """Smallest number of periods of a band center in the shorter side for a band to count as measured.
 A Hann window is good down to 2."""
@@ -68,6 +72,12 @@ class ReliefSpectrum:
     power: Floats
     side: float
     nyquist: float
+
+    @cached_property
+    def edges(self) -> Floats:
+        """Edges of the B bands that the pixels resolve, (B + 1,) array [cycles/m]."""
+        bands = int(np.count_nonzero(EDGES[1:] <= self.nyquist * (1 + 1e-9)))
+        return EDGES[: max(bands, FEWEST) + 1]
 
     @cached_property
     def number(self) -> Floats:
@@ -167,7 +177,7 @@ def spectrum_of(height: Floats, pixel: float) -> ReliefSpectrum:
 
 
 def stroke_levels(spectrum: ReliefSpectrum, direction: float | None) -> Floats:
-    """Compute the 16 band levels along a stroke.
+    """Compute the band levels along a stroke.
 
     Parameters
     ----------
@@ -178,8 +188,8 @@ def stroke_levels(spectrum: ReliefSpectrum, direction: float | None) -> Floats:
 
     Returns
     -------
-    (16,) array of float
-        Levels [dB re 1 µm²·mm].
+    (B,) array of float
+        Levels in the bands that the pixels resolve [dB re 1 µm²·mm].
 
     Notes
     -----
@@ -187,7 +197,7 @@ def stroke_levels(spectrum: ReliefSpectrum, direction: float | None) -> Floats:
     (acos(a/κ) − acos(b/κ)) of its power between the spatial frequencies a and b. Along one
     direction each bin is spread over its width, since the coarsest bands hold only one or two bins.
     """
-    edges = np.append(EDGES[:-1], min(EDGES[-1], spectrum.nyquist))
+    edges = np.minimum(spectrum.edges, spectrum.nyquist)
     if direction is None:
         ring = (spectrum.number * spectrum.side * 8).astype(np.intp)
         power = np.bincount(ring, spectrum.power)
@@ -228,14 +238,14 @@ def held_below(levels: Floats, first: int) -> Floats:
 
     Parameters
     ----------
-    levels : (16,) array of float
+    levels : (B,) array of float
         Levels [dB re 1 µm²·mm].
     first : int
         Index of the lowest band that is kept as it is.
 
     Returns
     -------
-    (16,) array of float
+    (B,) array of float
         Levels with those before ``first`` replaced.
     """
     held = levels.copy()
@@ -285,7 +295,7 @@ def orientation_of(spectrum: ReliefSpectrum) -> Orientation:
     number = spectrum.number
     low = max(EDGES[0], RING_PERIODS / spectrum.side)
     ring = np.digitize(number, EDGES)
-    ring[(number < low) | (number > min(EDGES[-1], spectrum.nyquist))] = 0
+    ring[(number < low) | (number > min(spectrum.edges[-1], spectrum.nyquist))] = 0
     turn = np.exp(2j * np.arctan2(spectrum.y, spectrum.x)) * spectrum.power
     count, total = np.bincount(ring)[1:], np.bincount(ring, spectrum.power)[1:]
     vector = (np.bincount(ring, turn.real) + 1j * np.bincount(ring, turn.imag))[1:]
@@ -317,7 +327,7 @@ class Unsteadiness:
     am_depth: float | None
 
 
-def unsteadiness_of(height: Floats, pixel: float) -> Unsteadiness:
+def unsteadiness_of(height: Floats, pixel: float, finest: float) -> Unsteadiness:
     """Compare the relief above 1 cycle/mm with a Gaussian field of the same spectrum.
 
     Parameters
@@ -326,6 +336,8 @@ def unsteadiness_of(height: Floats, pixel: float) -> Unsteadiness:
         Height without mean and tilt [m].
     pixel : float
         Side of a pixel [m].
+    finest : float
+        Highest spatial frequency that counts [cycles/m].
 
     Returns
     -------
@@ -342,7 +354,7 @@ def unsteadiness_of(height: Floats, pixel: float) -> Unsteadiness:
     y, x = np.fft.fftfreq(height.shape[0], pixel), np.fft.rfftfreq(height.shape[1], pixel)
     number = np.hypot(y[:, None], x[None, :])
     ratio = np.maximum(number / CARRIER, 1e-9)
-    spectrum *= np.where(number <= EDGES[-1], 1 / np.sqrt(1 + ratio**-8), 0)
+    spectrum *= np.where(number <= finest, 1 / np.sqrt(1 + ratio**-8), 0)
     kurtosis, power = _moments(irfft2(spectrum, height.shape), pixel)
     noise = rfft2(np.random.default_rng(0).standard_normal(height.shape))
     random_spectrum = np.abs(spectrum) * noise / np.maximum(np.abs(noise), 1e-300)

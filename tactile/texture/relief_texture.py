@@ -1,10 +1,10 @@
 """Descriptor of a texture from a picture of its relief, with a report of what was found and lost.
 
-Sharp lines of the spectrum become `[[periodic]]`. The rest becomes 16 bands along a stroke, with a
-direction where there is one. Levels and harmonics are what skin makes of the relief by the model in
-`skin`, whose docstring says how little is known of it: shapes, wavelengths and directions are
-measured, levels are good to a factor of 2. Pores and other sparse features are not separated; they
-raise the kurtosis.
+Sharp lines of the spectrum become `[[periodic]]`. The rest becomes bands along a stroke, with a
+direction where there is one. They end at 8 cycles/mm, or at 25 where the picture resolves that.
+Levels and harmonics are what skin makes of the relief by the model in `skin`, whose docstring says
+how little is known of it: shapes, wavelengths and directions are measured, levels are good to a
+factor of 2. Pores and other sparse features are not separated; they raise the kurtosis.
 """
 
 import math
@@ -24,6 +24,7 @@ from tactile.texture.picture import HeightMap
 from tactile.texture.relief import (
     CENTERS,
     EDGES,
+    FEWEST,
     Orientation,
     ReliefSpectrum,
     first_measured,
@@ -121,7 +122,8 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
         )
     height, sag = leveled(relief.height[::-1])
     spectrum = spectrum_of(height, relief.pixel)
-    lines, rest = take_lines(height, relief.pixel, finest=EDGES[-1], least=ROUNDING * relief.level)
+    finest = spectrum.edges[-1]
+    lines, rest = take_lines(height, relief.pixel, finest=finest, least=ROUNDING * relief.level)
     rest, gratings = leveled(rest)[0], gather(lines, relief.side)
     periodic = tuple(_periodic(grating, spectrum) for grating in gratings)
     has_random_part = not gratings or rest.std() > ROUNDING * relief.level
@@ -131,8 +133,8 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
         stochastic, orientation = _stochastic(rest, relief, spectrum, notes)
     else:
         notes.append("no random part: beside its gratings the picture holds only rounding")
-    finest = float(spectrum.rms_slope(EDGES[-1:])[0])
-    _note_steepness(finest, notes)
+    slope = float(spectrum.rms_slope(spectrum.edges[-1:])[0])
+    _note_steepness(slope, notes)
     return Relief(
         descriptor=Descriptor(
             texture=_about(name, category, picture, relief),
@@ -145,8 +147,8 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
         roughness_um=float(np.mean(np.abs(height))) * UM,
         rms_um=float(height.std()) * UM,
         sag_um=sag * UM,
-        rms_slope=finest,
-        contact_share=float(skin.share_in_contact(finest)),
+        rms_slope=slope,
+        contact_share=float(skin.share_in_contact(slope)),
         resultant=orientation.resultant,
         outside=_outside(spectrum),
         notes=tuple(notes),
@@ -205,17 +207,13 @@ def _stochastic(
             f"holds fewer than four periods"
         )
     rounding = _rounding_levels(spectrum, relief.level, direction)
-    height_levels = stroke_levels(spectrum, direction)
-    rounded = [f"{c:g}" for c, near in zip(
-        CENTERS, height_levels - rounding < NEAR_ROUNDING_DB, strict=True) if near]  # fmt: skip
-    if rounded:
-        notes.append(f"bands at {', '.join(rounded)} cycles/mm hold mostly rounding of gray levels")
-    unsteady = unsteadiness_of(rest, relief.pixel)
+    bands = _noting_rounding(stroke_levels(spectrum, direction) - rounding, notes)
+    unsteady = unsteadiness_of(rest, relief.pixel, EDGES[bands])
     if unsteady.am_depth is None:
         notes.append("am_depth is 0: the picture is too small to tell (needs 20 mm)")
     return Stochastic(
-        frequency_per_mm=CENTERS,
-        level_db=tuple(round(float(v), 2) for v in held_below(measured, first)),
+        frequency_per_mm=CENTERS[:bands],
+        level_db=tuple(round(float(v), 2) for v in held_below(measured, first)[:bands]),
         excess_kurtosis=min(round(unsteady.excess_kurtosis, 1), 30.0),
         am_depth=min(round(unsteady.am_depth or 0.0, 2), 1.0),
         am_corner_per_mm=0.2,
@@ -226,6 +224,20 @@ def _stochastic(
             else max(round(math.degrees(orientation.spread), 1), 1.0)
         ),
     ), orientation
+
+
+def _noting_rounding(above: Floats, notes: list[str]) -> int:
+    """Return the number of bands, and append to the notes which of them hold mostly rounding.
+
+    ``above`` are the levels above those of rounding. Bands beyond those that every picture has end
+    before the first one of mere rounding.
+    """
+    rounded = above < NEAR_ROUNDING_DB
+    bands = FEWEST + int(np.argmax(np.append(rounded[FEWEST:], True)))
+    names = [f"{CENTERS[k]:g}" for k in np.flatnonzero(rounded[:bands])]
+    if names:
+        notes.append(f"bands at {', '.join(names)} cycles/mm hold mostly rounding of gray levels")
+    return bands
 
 
 def _rounding_levels(spectrum: ReliefSpectrum, level: float, direction: float | None) -> Floats:
@@ -250,7 +262,7 @@ def _outside(spectrum: ReliefSpectrum) -> tuple[float, float]:
     """Return the shares of the variance in waves longer and shorter than those of all bands."""
     total = float(spectrum.power.sum())
     coarse = float(spectrum.power[spectrum.number < EDGES[0]].sum())
-    fine = float(spectrum.power[spectrum.number > EDGES[-1]].sum())
+    fine = float(spectrum.power[spectrum.number > spectrum.edges[-1]].sum())
     return coarse / total, fine / total
 
 

@@ -237,7 +237,7 @@ def _directions(texture: Texture, stroke: SteadyStroke) -> Floats:
 
 
 def _rings(texture: Texture) -> NDArray[np.intp]:
-    """Return the ring of each stochastic wave, 0 … 15."""
+    """Return the ring of each stochastic wave, counted from 0."""
     stochastic = texture.descriptor.stochastic
     if stochastic is None:
         return np.zeros(0, np.intp)

@@ -2,8 +2,8 @@
 
 A fit applies these functions to recordings, and the benchmarks apply the same ones to what is
 rendered. Every signal is tangential displacement on an even grid of **positions** along a straight
-stroke, either one stroke (S,) or several over one texture (R, S). Everything is measured within the
-16 bands: what a hand adds below them, or the noise of a sensor above them, does not count. Lines
+stroke, either one stroke (S,) or several over one texture (R, S). Everything is measured within
+given bands: what a hand adds below them, or the noise of a sensor above them, does not count. Lines
 belong to ``[[periodic]]`` and rare features to ``[[events]]``. Both are to be removed before the
 kurtosis and modulation of the ``[stochastic]`` part are measured.
 """
@@ -20,7 +20,8 @@ from tactile.errors import InputError
 from tactile.texture.bands import third_octaves
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10) * 1e3
-"""Exact centers of the 16 third octaves (IEC 61260-1), which a file may round [cycles/m]."""
+"""Exact centers of the 16 third octaves of the shipped textures (IEC 61260-1), which a file may
+round [cycles/m]."""
 SEGMENT = 20
 """Length of a segment of a spectrum, in periods of the lowest band: 80 mm for 0.25 cycles/mm. Under
 a Hann window a line is then 50 cycles/m wide, and the lowest band 58."""
@@ -45,12 +46,12 @@ def band_spectrum(signal: Floats, step: float, *, center: Floats = CENTERS) -> F
         Tangential displacement [m].
     step : float
         Distance between samples [m].
-    center : (16,) array of float
+    center : (B,) array of float
         Band centers [cycles/m].
 
     Returns
     -------
-    (..., 16) array of float
+    (..., B) array of float
         One-sided power spectral density [dB re 1 µm²·mm].
 
     Raises
@@ -101,7 +102,7 @@ def _periodogram(part: Floats, window: Floats) -> Floats:
 
 
 def _band_means(density: Floats, length: float, center: Floats) -> Floats:
-    """Return the mean of a density (..., F) at multiples of 1/length over each band (..., 16)."""
+    """Return the mean of a density (..., F) at multiples of 1/length over each band (..., B)."""
     total = np.cumsum(density, axis=-1)
     ends = (np.arange(density.shape[-1]) + 0.5) / length
     edges = third_octaves(center)
@@ -123,7 +124,7 @@ def excess_kurtosis(signal: Floats, step: float, *, center: Floats = CENTERS) ->
         Displacement without lines and rare features [m].
     step : float
         Distance between samples [m].
-    center : (16,) array of float
+    center : (B,) array of float
         Band centers [cycles/m].
 
     Returns
@@ -169,7 +170,7 @@ def am_depth(signal: Floats, step: float, corner: float, *, center: Floats = CEN
     corner : float
         Highest spatial frequency of the modulation [cycles/m], ``am_corner_per_mm`` of the
         descriptor.
-    center : (16,) array of float
+    center : (B,) array of float
         Band centers [cycles/m].
 
     Returns
@@ -208,7 +209,7 @@ def am_corner(signal: Floats, step: float, *, center: Floats = CENTERS) -> float
         Displacement without lines and rare features [m].
     step : float
         Distance between samples [m].
-    center : (16,) array of float
+    center : (B,) array of float
         Band centers [cycles/m].
 
     Returns

@@ -179,6 +179,20 @@ def test_many_harmonics_of_ribs_at_speeds_of_a_simple_ratio_are_ribs(
     assert len(grating.harmonics_um) >= 9
 
 
+def test_a_hum_at_a_third_of_the_frequency_of_ribs_is_not_their_fundamental() -> None:
+    """12 Hz lie at 0.3 cycles/mm in two of three recordings, and ribs at three times that."""
+    ribs = Surface(level_db=-35, wavelength_mm=1.11, harmonics_um=(3.0, 1.0))
+    slides = [
+        slide(ribs, v, seed=k, noise=0.01, hum_hz=12) for k, v in enumerate((0.04, 0.04, 0.06))
+    ]
+    measured = measure_slides(slides, reference_speed=0.04)
+    strokes, speed = [s.strokes[0] for s in measured.slides], measured.speed
+    lines = common_lines(strokes, measured.step, speed, 20e3)
+    assert any(line.frequency == pytest.approx(300, rel=0.02) for line in lines)
+    (grating,) = measured.gratings
+    assert grating.frequency == pytest.approx(901, rel=0.005)
+
+
 @pytest.mark.parametrize("ribs", [True, False])
 def test_lines_at_one_speed_stay_in_the_bands_and_are_counted(ribs: bool) -> None:
     """Nothing tells a rib of 1/3 mm from a hum of 120 Hz at 40 mm/s."""

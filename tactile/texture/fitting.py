@@ -347,21 +347,18 @@ def _mean_power(strokes: list[Floats], measured: RecordingMeasures) -> Floats:
     """Return the mean density (B,) of strokes, weighted by their length [µm²·mm].
 
     An octave is measured on strokes of ten periods of its lowest band, and NaN without one. Octaves
-    begin at the lowest band of `CORE`, of which every stroke has as many.
+    begin at the lowest band of `CORE`.
     """
-    center, step, first = measured.center, measured.step, measured.core.start
+    center, step = measured.center, measured.step
 
     def density(octave: Floats) -> Floats:
-        used = [
-            u for u in strokes
-            if octave[0] >= center[first] or len(u) * step * octave[0] >= measures.SHORTEST
-        ]  # fmt: skip
+        used = [u for u in strokes if len(u) * step * octave[0] >= measures.SHORTEST]
         if not used:
             return np.full(len(octave), np.nan)
         levels = np.array([measures.band_spectrum(u, step, center=octave) for u in used])
         return np.asarray(np.average(10 ** (levels / 10), axis=0, weights=[len(u) for u in used]))
 
-    starts = range(first % OCTAVE or OCTAVE, len(center), OCTAVE)
+    starts = range(measured.core.start % OCTAVE or OCTAVE, len(center), OCTAVE)
     return np.concatenate([density(octave) for octave in np.split(center, list(starts))])
 
 

@@ -237,9 +237,17 @@ def find_gratings(
         Gratings, strongest first.
     """
     differs = {line: differ(speed[list(line.strokes)]) for line in lines}
-    reach = {line: speed >= LOWEST / line.frequency for line in lines}
-    # A line of one speed is a hum if another speed reaches it.
-    remaining = [line for line in lines if differs[line] or not differ(speed[reach[line]])]
+    doubled = np.array([line.frequency / 2 for line in lines if differs[line]])
+
+    def may_belong(line: Line) -> bool:
+        if differs[line]:
+            return True
+        # Without it at another speed that reaches it, a line is a hum. What only one speed reaches
+        # is a fundamental at best.
+        unreached = not differ(speed[speed >= LOWEST / line.frequency])
+        return unreached and bool(np.any(np.abs(doubled / line.frequency - 1) <= HARMONIC))
+
+    remaining = [line for line in lines if may_belong(line)]
     gratings = []
     while remaining:
         first = remaining[0]

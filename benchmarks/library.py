@@ -158,7 +158,7 @@ def bands_of_bins(count: int) -> Floats:
 
 
 def rendered_coherence(one: Complex, other: Complex) -> Floats:
-    """Return the coherence per band (16,) of two `spectra`.
+    """Return the coherence per band (B,) of two `spectra`.
 
     It is |⟨X* Y⟩|²/⟨|X|²⟩⟨|Y|²⟩, averaged over a band and all rows.
     """
@@ -172,7 +172,7 @@ def rendered_coherence(one: Complex, other: Complex) -> Floats:
 
 
 def own_coherence(waves: Partials, turns: Floats, offset: Floats) -> Floats:
-    """Return the magnitude-squared coherence of a surface itself, per band (16,).
+    """Return the magnitude-squared coherence of a surface itself, per band (B,).
 
     It is |Σ P exp jk·Δ|²/(Σ P)² over the waves in a band, with Δ from one contactor to the other. P
     is a² times the share of a line at k·u/2π that the Hann window of an estimate leaves in the

@@ -1,8 +1,11 @@
 """Tests of fields: tiles against the sum of their waves, strokes against statistics of noise."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.signal import welch
+from texture_rig import random_part
 
 from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import PASS_BAND
@@ -131,14 +134,13 @@ def test_the_spectrum_within_third_octaves_is_that_of_noise(name: str) -> None:
     neighbors.
     """
     surface = load_texture(name).realize(1)
-    assert surface.field is not None
     assert surface.density is not None
     edges = surface.density.edges
     step = 0.25 / edges[-1]
     way = np.outer(np.arange(round(0.1 / step)) * step, [1.0, 0.0])
     places = scatter(20)
-    field = [surface.field.at(way + place) for place in places]
-    assert deviation(field, step, edges) == pytest.approx(5.57, abs=0.3)
+    noise = [random_part(surface, way + place) for place in places]
+    assert deviation(noise, step, edges) == pytest.approx(5.57, abs=0.3)
     lines = [surface.partials.at(way + place) for place in places[:4]]
     assert deviation(lines, step, edges) > 7
 
@@ -152,10 +154,9 @@ def test_a_stroke_over_a_field_has_the_bands_of_its_descriptor(name: str) -> Non
     """
     texture = load_texture(name)
     surface, stochastic = texture.realize(2), texture.descriptor.stochastic
-    assert surface.field is not None
     assert surface.density is not None
     assert stochastic is not None
-    rest, edges = surface.beside_field.split[0], surface.density.edges
+    edges = surface.density.edges
     step = 0.25 / edges[-1]
     count = int(2.0 / step)
     turns = np.radians(stochastic.direction_deg)
@@ -164,7 +165,7 @@ def test_a_stroke_over_a_field_has_the_bands_of_its_descriptor(name: str) -> Non
     error = []
     for turn in np.atleast_1d(turns):
         ahead = step * np.array([np.cos(turn), np.sin(turn)])
-        met = surface.field.at(np.outer(np.arange(count), ahead)) + rest.along(ahead, count)
+        met = random_part(surface, np.outer(np.arange(count), ahead))
         frequency, density = welch(met, 1 / step, nperseg=1 << 14)
         band = np.digitize(frequency, edges) - 1
         level = [10 * np.log10(density[band == k].mean() * 1e15) for k in range(len(edges) - 1)]
@@ -198,6 +199,31 @@ def test_the_contact_takes_power_from_short_waves() -> None:
     np.testing.assert_allclose(soft.at(place) / sharp.at(place), expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("spread", [None, 0.3])
+def test_a_wide_surface_has_several_fields_which_meet(spread: float | None) -> None:
+    """Compare the variance of each at random places with the power between its ends."""
+    center = 10 ** (np.arange(10, 48) / 10)
+    density = Density(center, center**-0.5, 0.7, spread)
+    ranges = density.ranges
+    assert len(ranges) == 3
+    assert ranges[0][1] == density.edges[-1]
+    assert all(fine[0] == coarse[1] for fine, coarse in itertools.pairwise(ranges))
+    assert np.count_nonzero(center < ranges[-1][0]) <= 4
+    place = scatter(20_000)
+    for (low, high), field in zip(ranges, density.drawn(np.random.default_rng(1)), strict=True):
+        size = np.geomspace(low, high, 4001)
+        power = (
+            np.sum(density.per_unit_log(np.sqrt(size[1:] * size[:-1]))) * np.log(high / low) / 4000
+        )
+        assert np.mean(field.at(place) ** 2) == pytest.approx(power, rel=0.06)
+
+
+def test_waves_in_nearly_one_direction_are_left_to_plane_waves() -> None:
+    center = 10 ** (np.arange(25, 37) / 10)
+    assert Density(center, center**-1.0, 0.0, np.radians(0.5)).ranges == []
+    assert Density(center, center**-1.0, 0.0, np.radians(5)).ranges
+
+
 def test_a_surface_without_power_has_no_field() -> None:
     rng = np.random.default_rng(0)
-    assert Density(np.array([1e3, 1.26e3]), np.zeros(2), 0.0, None).drawn(rng) is None
+    assert Density(np.array([1e3, 1.26e3]), np.zeros(2), 0.0, None).drawn(rng) == ()

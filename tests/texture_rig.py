@@ -45,8 +45,8 @@ def bands(levels: tuple[float, ...] = FALLING, **more: object) -> dict[str, obje
 
 def random_part(surface: Surface, place: Floats) -> Floats:
     """Return the random part of a surface at places (..., 2), without its envelope [m]."""
-    waves = surface.beside_field.split[0].at(place)
-    return waves if surface.field is None else waves + surface.field.at(place)
+    waves = surface.beside_fields.split[0].at(place)
+    return np.asarray(waves + sum(field.at(place) for field in surface.fields))
 
 
 def counted(wave_vector: Floats, amplitude: Floats, degrees: float) -> Floats:

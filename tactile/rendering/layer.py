@@ -1,7 +1,7 @@
 """One texture on one display: the shear that it commands under each contactor, stroke by stroke.
 
-The random part is read from a `field`, whose levels follow the speed of the finger. What is not in
-the field, the waves of gratings and those too long for it, is a sum of partials. Partial m sounds
+The random part is read from fields, whose levels follow the speed of the finger. What is not in
+them, the waves of gratings and those too long for a tile, is a sum of partials. Partial m sounds
 at f_m = k_m·v/2π (signed) while the finger moves at velocity v. Contactor i at x_i is to shear the
 skin by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1 kHz. This is separable, so that a
 block of samples is a product of matrices,
@@ -124,7 +124,7 @@ class RealizedLayer:
 
     def __init__(self, display: Display, texture: Texture, *, seed: int = 0) -> None:
         realized = texture.realize(seed)
-        surface, contactors = realized.beside_field, display.contactors
+        surface, contactors = realized.beside_fields, display.contactors
         partials = surface.partials
         self._law = Law(texture.descriptor)
         with_friction = texture.descriptor.friction is not None
@@ -135,11 +135,11 @@ class RealizedLayer:
         self._to_shear = _interleaved(partials.phasors(contactors))
         mean = float(np.exp(-np.sum(surface.envelope.amplitude**2) / 2))
         self._to_shear[: self._bands] *= mean
-        self._field, self._density = None, realized.density
-        if realized.field is not None:
-            self._field = FieldReader(
-                realized.field, contactors, band=equalizer.PASS_BAND, gain=mean
-            )
+        self._fields = [
+            FieldReader(field, contactors, band=equalizer.PASS_BAND, gain=mean)
+            for field in realized.fields
+        ]
+        self._density = realized.density
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
         self._axes = display.shear_axes if display.projected else None
         self._events = None
@@ -154,9 +154,11 @@ class RealizedLayer:
             phasors[:, : split // 2] *= self._roll_off(stroke.velocity, stroke.start)
         modulated = self._bands if len(self._to_envelope) else split
         shear = sides[:, :modulated] @ self._to_shear[:modulated]
-        if self._field is not None and self._density is not None:
+        if self._density is not None:
             own = stroke.velocity[:, HISTORY:], stroke.squares[HISTORY:]
-            self._field.add_to(shear, stroke.place, self._density.met_squares(*own))
+            squares = self._density.met_squares(*own)
+            for field in self._fields:
+                field.add_to(shear, stroke.place, squares)
         if len(self._to_envelope):
             shear *= np.exp(sides[:, split:] @ self._to_envelope)
         if modulated < split:

@@ -309,10 +309,10 @@ def surface_patch(
     """
     surface = texture.realize()
     place = pixel_places(side, pixels)
-    bands, gratings = surface.beside_field.split
+    bands, gratings = surface.beside_fields.split
     field = _waves_on(bands, place)
-    if surface.field is not None:
-        field += surface.field.at(np.stack(np.meshgrid(place, place), axis=-1))
+    for random in surface.fields:
+        field += random.at(np.stack(np.meshgrid(place, place), axis=-1))
     if len(surface.envelope.amplitude):
         mean_square = np.sum(surface.envelope.amplitude**2) / 2
         field *= np.exp(_waves_on(surface.envelope, place) - mean_square)

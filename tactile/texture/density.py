@@ -23,6 +23,10 @@ ANGLES, RADII = 64, 32
 """Number of directions, and of wave numbers in a ring, with which rings are projected to bands."""
 NEARNESS = 0.02
 """Weight that keeps the power of a ring near that of its waves, where bands leave it open."""
+LEFT = 4
+"""Number of third octaves that are left to plane waves, which cost about as much as a field."""
+NARROW = 4.0
+"""Ratio between the ends of a field that is worth while."""
 FEWEST = 24
 """Number of waves of a tile that a third octave needs; with fewer, the bands of strokes would
 differ from direction to direction."""
@@ -61,12 +65,24 @@ class Density:
         return third_octaves(self.center)
 
     @property
-    def resolved(self) -> float:
-        """Lowest spatial frequency of a field, below which a tile has too few waves [cycles/m]."""
+    def ranges(self) -> list[tuple[float, float]]:
+        """Lowest and highest spatial frequency of each field, the finest first [cycles/m].
+
+        A field ends where its tile has too few waves, and the next one begins there, unless no
+        more than `LEFT` third octaves remain, which are left to plane waves. All is left to them
+        for a surface whose wave vectors point so nearly in one direction that a tile would have too
+        few of them within a factor of `NARROW`.
+        """
         share = 1.0 if self.spread is None else min(1.0, 2 * self.spread / math.sqrt(math.pi))
-        area = PIXELS * pitch_of(self.edges[-1]) ** 2
-        ring = math.pi * (ABOVE**2 - BELOW**2) / 2 * area * share
-        return max(float(self.edges[0]), math.sqrt(FEWEST / ring))
+        waves = math.pi * (ABOVE**2 - BELOW**2) / 2 * PIXELS * pitch_of(1.0) ** 2 * share
+        resolved, highest = math.sqrt(FEWEST / waves), float(self.edges[-1])
+        fields: list[tuple[float, float]] = []
+        if resolved > 1 / NARROW:
+            return []
+        while np.count_nonzero(self.center < highest) > LEFT or not fields:
+            fields.append((max(float(self.edges[0]), resolved * highest), highest))
+            highest = fields[-1][0]
+        return fields
 
     def per_unit_log(self, frequency: Floats) -> Floats:
         """Compute the power per unit of the logarithm of the spatial frequency.
@@ -220,8 +236,8 @@ class Density:
         near = np.concatenate([share / scale[:, None], NEARNESS * np.eye(count)])
         return replace(self, power=self.power * nnls(near, target)[0])
 
-    def drawn(self, rng: np.random.Generator) -> Field | None:
-        """Draw a field with this density.
+    def drawn(self, rng: np.random.Generator) -> tuple[Field, ...]:
+        """Draw fields with this density.
 
         Parameters
         ----------
@@ -230,12 +246,15 @@ class Density:
 
         Returns
         -------
-        Field or None
-            Field of all waves from `resolved` to the last edge; None for a surface without power.
+        tuple of Field
+            A field for each of `ranges`; none for a surface without power.
         """
-        highest, lowest = float(self.edges[-1]), self.resolved
-        if not np.any(self.weight * self.power) or lowest >= highest:
-            return None
+        if not np.any(self.weight * self.power):
+            return ()
+        return tuple(self._field(*ends, rng) for ends in self.ranges)
+
+    def _field(self, lowest: float, highest: float, rng: np.random.Generator) -> Field:
+        """Return a field of all waves between two spatial frequencies [cycles/m]."""
         pitch = pitch_of(highest)
         frequency = lattice(pitch)
         size = np.hypot(*frequency)

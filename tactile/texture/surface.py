@@ -204,22 +204,23 @@ class Surface:
     seed: int = 0
 
     @cached_property
-    def field(self) -> Field | None:
-        """Random part as a field, which is played instead of the waves; None without one."""
+    def fields(self) -> tuple[Field, ...]:
+        """Random part as fields, which are played instead of the waves."""
         rng = np.random.default_rng([self.seed, FIELD_STREAM])
-        return None if self.density is None else self.density.drawn(rng)
+        return () if self.density is None else self.density.drawn(rng)
 
     @property
-    def beside_field(self) -> "Surface":
-        """Surface without the waves that its field replaces, to be added to the field.
+    def beside_fields(self) -> "Surface":
+        """Surface without the waves that its fields replace, to be added to the fields.
 
         Waves remain where a tile has too few, and those of gratings.
         """
-        if self.field is None or self.density is None:
+        if not self.fields or self.density is None:
             return self
         bands, gratings = self.split
         size = np.linalg.norm(bands.wave_vector, axis=1) / (2 * np.pi)
-        return replace(self, partials=bands.part(size < self.density.resolved) + gratings)
+        lowest = self.density.ranges[-1][0]
+        return replace(self, partials=bands.part(size < lowest) + gratings)
 
     @property
     def split(self) -> tuple[Partials, Partials]:

@@ -29,10 +29,10 @@ from tactile.rendering.renderer import render
 from tactile.texture import measures
 from tactile.texture.descriptor import About
 from tactile.texture.descriptor_file import write
-from tactile.texture.fitting import RecordingMeasures, describe, measure_slides
+from tactile.texture.fitting import Fit, RecordingMeasures, describe, measure_slides
 from tactile.texture.judging import fit_texture, predict, rendered_strokes
 from tactile.texture.recorded_slide import Recorded, load_recorded
-from tactile.texture.surface import load_texture
+from tactile.texture.surface import Texture, load_texture
 
 ABOUT = About(
     id="bench", category="test", description="", provenance="fitted", source="bench",
@@ -119,6 +119,14 @@ def acceleration(shear: Floats) -> Floats:
     return np.fft.irfft(-np.fft.rfft(shear, axis=0) * omega[:, None] ** 2, len(shear), axis=0)
 
 
+def texture_of_fit(fit: Fit) -> Texture:
+    """Return a fitted texture as a user gets it, through its file."""
+    with TemporaryDirectory() as target:
+        file = Path(target) / f"{ABOUT.id}.toml"
+        write(fit.descriptor, file)
+        return load_texture(file)
+
+
 def rendered_errors(
     folder: Path, name: str, seen: tuple[str, ...], unseen: tuple[str, ...]
 ) -> Floats:
@@ -141,10 +149,7 @@ def rendered_errors(
         Level of the strokes above that of each recording in the bands of `THIRDS` [dB].
     """
     fit = describe(measure_slides([fabric(folder, name, key) for key in seen]), ABOUT)
-    with TemporaryDirectory() as target:
-        file = Path(target) / f"{ABOUT.id}.toml"
-        write(fit.descriptor, file)
-        texture = load_texture(file)
+    texture = texture_of_fit(fit)
     display, errors = load_display("reference-24"), []
     for key in unseen:
         recorded, speed = fabric(folder, name, key), FABRICS[key]

@@ -1,0 +1,237 @@
+"""Entrants: makers of strokes from recordings of a surface, each a small class with one method.
+
+Another one is added by writing such a class and naming it in `ENTRANTS`. All but the renderer
+carry a recording to another speed by the law that was measured on fabrics: the spectral density of
+acceleration is S(f; v) = (v/v0)·S0(f·v0/v). That is the same waveform played v/v0 times as fast,
+v/v0 times as strong.
+"""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Protocol
+
+import numpy as np
+from numpy.random import Generator
+from scipy.signal import lfilter, resample_poly
+
+from benchmarks.fit import ABOUT, texture_of_fit
+from benchmarks.realism.features import SKIN
+from benchmarks.rendering import SKIPPED, first_contactors
+from tactile.arrays import Floats
+from tactile.bench.figures import RATE
+from tactile.display.display import load_display
+from tactile.rendering.contact import Trajectory
+from tactile.rendering.renderer import render
+from tactile.texture.fitting import describe, measure_slides
+from tactile.texture.recorded_slide import Recorded
+from tactile.texture.slide_strokes import INTEGRATIONS
+
+NARROW = SKIN.rate
+"""Sample rate of recordings of which models are made [Hz]. A wider band would spend the poles of an
+autoregressive model where a finger feels nothing."""
+SETTLING = 2000
+"""Number of samples until a filter of noise has forgotten its beginning."""
+
+
+class Entrant(Protocol):
+    """Maker of strokes."""
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Make strokes over a surface of which there are recordings.
+
+        Parameters
+        ----------
+        train : list of Recorded
+            Recordings of the surface, all of one quantity.
+        speed : float
+            Speed of the strokes [m/s].
+        duration : float
+            Duration of a stroke [s].
+        count : int
+            Number of strokes, each over another part of the surface.
+        rng : numpy.random.Generator
+            Source of random numbers.
+
+        Returns
+        -------
+        list of Recorded
+            Strokes of the same quantity, at any sample rate.
+        """
+        ...
+
+
+class RenderedTexture:
+    """Texture that is fitted, written to a file, and rendered under a contactor."""
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Render strokes over a fitted texture, each over another surface; see `Entrant`.
+
+        The level that a fit assumes for an uncalibrated recording is replaced by the recordings'.
+        """
+        texture = texture_of_fit(describe(measure_slides(train), ABOUT))
+        display = first_contactors(load_display("reference-24"), 1)
+        path = Trajectory.line(speed=speed, duration=duration + 2 * SKIPPED / RATE)
+        derivatives = INTEGRATIONS[train[0].quantity]
+        strokes = []
+        for seed in rng.integers(1 << 31, size=count):
+            shear = render(display, texture, path, seed=int(seed)).shear[:, 0]
+            signal = derivative(shear, derivatives)[SKIPPED:-SKIPPED]
+            strokes.append(stroke_like(train[0], signal, RATE, speed))
+        return strokes if train[0].calibrated else leveled(strokes, train)
+
+
+@dataclass(frozen=True)
+class Autoregressive:
+    """Autoregressive model of the recordings at the nearest speed, driven by Gaussian noise.
+
+    Attributes
+    ----------
+    order : int
+        Number of poles.
+    """
+
+    order: int
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Filter noise; see `Entrant`."""
+        near = nearest(train, speed)
+        model, variance = burg([narrowed(recorded) for recorded in near], self.order)
+        size = stretched_size(near[0], speed, duration)
+
+        def stroke() -> Recorded:
+            noise = rng.normal(0, np.sqrt(variance), SETTLING + size)
+            return at_speed(near[0], lfilter([1.0], model, noise)[SETTLING:], speed)
+
+        return [stroke() for _ in range(count)]
+
+
+class White:
+    """White Gaussian noise at the level of the recordings at the nearest speed."""
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Draw noise; see `Entrant`."""
+        near = nearest(train, speed)
+        size = stretched_size(near[0], speed, duration)
+        noise = [
+            stroke_like(near[0], rng.standard_normal(size), NARROW, near[0].speed.mean())
+            for _ in range(count)
+        ]
+        return [at_speed(near[0], stroke.signal, speed) for stroke in leveled(noise, near)]
+
+
+class PhaseRandomized:
+    """Recording whose spectral lines keep their powers, and are given other phases."""
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Randomize phases of the recordings at the nearest speed by turns; see `Entrant`."""
+        near = nearest(train, speed)
+        strokes = []
+        for k in range(count):
+            signal = narrowed(near[k % len(near)])
+            spectrum = np.fft.rfft(signal)
+            phase = np.exp(2j * np.pi * rng.uniform(size=len(spectrum)))
+            endless = np.fft.irfft(np.abs(spectrum) * phase, len(signal))
+            size = stretched_size(near[0], speed, duration)
+            strokes.append(at_speed(near[0], np.resize(endless, size), speed))
+        return strokes
+
+
+ENTRANTS: dict[str, Entrant] = {
+    "rendered": RenderedTexture(),
+    "phase_randomized": PhaseRandomized(),
+    "ar16": Autoregressive(16),
+    "ar8": Autoregressive(8),
+    "white": White(),
+}
+"""Entrants by name."""
+
+
+def stroke_like(recorded: Recorded, signal: Floats, rate: float, speed: float) -> Recorded:
+    """Return a signal as a stroke of the quantity of a recording."""
+    return replace(
+        recorded, name="stroke", signal=signal, sample_rate=rate,
+        speed=np.full(len(signal), speed), normal_force=None, tangential_force=None,
+    )  # fmt: skip
+
+
+def derivative(signal: Floats, times: int) -> Floats:
+    """Return the derivative of a signal (S,) at the display's rate, through its spectrum."""
+    omega = 2j * np.pi * np.fft.rfftfreq(len(signal), 1 / RATE)
+    return np.fft.irfft(np.fft.rfft(signal) * omega**times, len(signal))
+
+
+def leveled(strokes: list[Recorded], train: list[Recorded]) -> list[Recorded]:
+    """Return strokes at the level that the recordings have in third octaves of 25–800 Hz."""
+    recorded, made = (
+        np.mean([SKIN.third_octaves(SKIN.signal(stroke)[None]) for stroke in side])
+        for side in (train, strokes)
+    )
+    gain = float(10 ** ((recorded - made) / 20))
+    return [replace(stroke, signal=gain * stroke.signal) for stroke in strokes]
+
+
+def nearest(train: list[Recorded], speed: float) -> list[Recorded]:
+    """Return the recordings at the speed that is nearest to another one."""
+    distance = [abs(np.log(recorded.speed.mean() / speed)) for recorded in train]
+    return [r for r, d in zip(train, distance, strict=True) if d < min(distance) + 0.05]
+
+
+def narrowed(recorded: Recorded) -> Floats:
+    """Return the signal of a recording at the sample rate `NARROW`."""
+    ratio = Fraction(NARROW / recorded.sample_rate).limit_denominator(1000)
+    plain = recorded.signal - recorded.signal.mean()
+    return np.asarray(resample_poly(plain, ratio.numerator, ratio.denominator))
+
+
+def stretched_size(recorded: Recorded, speed: float, duration: float) -> int:
+    """Return the samples at the speed of a recording that last for a duration at another speed."""
+    return round(duration * NARROW * speed / recorded.speed.mean())
+
+
+def at_speed(recorded: Recorded, signal: Floats, speed: float) -> Recorded:
+    """Return a signal (S,) at the rate `NARROW` and the speed of a recording at another speed."""
+    ratio = float(speed / recorded.speed.mean())
+    return stroke_like(recorded, ratio * signal, NARROW * ratio, speed)
+
+
+def burg(signals: list[Floats], order: int) -> tuple[Floats, float]:
+    """Fit an autoregressive model to signals by Burg's method.
+
+    Parameters
+    ----------
+    signals : list of (S,) array of float
+        Signals of one process.
+    order : int
+        Number of poles.
+
+    Returns
+    -------
+    model : (order + 1,) array of float
+        Denominator of the filter, beginning with 1.
+    variance : float
+        Variance of the noise that drives it.
+    """
+    model = np.ones(1)
+    variance = float(np.mean(np.concatenate(signals) ** 2))
+    sides = [(signal[1:], signal[:-1]) for signal in signals]
+    for _ in range(order):
+        cross = sum(float(ahead @ behind) for ahead, behind in sides)
+        power = sum(float(ahead @ ahead + behind @ behind) for ahead, behind in sides)
+        turn = -2 * cross / power
+        longer = np.append(model, 0.0)
+        model = longer + turn * longer[::-1]
+        variance *= 1 - turn**2
+        sides = [
+            ((ahead + turn * behind)[1:], (behind + turn * ahead)[:-1]) for ahead, behind in sides
+        ]
+    return model, variance

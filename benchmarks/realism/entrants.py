@@ -127,6 +127,23 @@ class White:
         return [at_speed(near[0], stroke.signal, speed) for stroke in leveled(noise, near)]
 
 
+class Replayed:
+    """Recording at the nearest speed, replayed: the ceiling of what the recordings tell."""
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Replay the recordings at the nearest speed by turns, back and forth; see `Entrant`."""
+        near = nearest(train, speed)
+        size = stretched_size(near[0], speed, duration)
+        strokes = []
+        for k in range(count):
+            signal = narrowed(near[k % len(near)])
+            endless = np.pad(signal, (0, max(size - len(signal), 0)), "reflect")
+            strokes.append(at_speed(near[0], endless[:size], speed))
+        return strokes
+
+
 class PhaseRandomized:
     """Recording whose spectral lines keep their powers, and are given other phases."""
 
@@ -148,6 +165,7 @@ class PhaseRandomized:
 
 ENTRANTS: dict[str, Entrant] = {
     "rendered": RenderedTexture(),
+    "replayed": Replayed(),
     "phase_randomized": PhaseRandomized(),
     "ar16": Autoregressive(16),
     "ar8": Autoregressive(8),

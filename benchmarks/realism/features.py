@@ -5,9 +5,9 @@ edges. A stroke is brought to one sample rate and one frequency band, and cut in
 overlap by half. Envelopes are taken of the whole stroke, so that windows have no ends in them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -65,7 +65,7 @@ class Analysis:
     @property
     def modulations(self) -> Floats:
         """Centers of the octaves of modulation that a window resolves, (M,) array [Hz]."""
-        return MODULATIONS[MODULATIONS >= 1.5 / self.window]
+        return MODULATIONS[self.window * MODULATIONS >= 1.5]
 
     def signal(self, recorded: Recorded) -> Floats:
         """Bring a stroke to the sample rate and the band.
@@ -125,7 +125,9 @@ class Analysis:
             "level": level.mean(axis=1, keepdims=True),
             "thirds": level - level.mean(axis=1, keepdims=True),
             "fine": np.hstack([self.roughness(parts), self._periodicity(parts)]),
-            "distribution": np.hstack([amplitudes(parts), kurtosis(self.windows(octaves.real), axis=2)]),
+            "distribution": np.hstack(
+                [amplitudes(parts), kurtosis(self.windows(octaves.real), axis=2)]
+            ),
             "modulation": self.modulation(envelope).reshape(len(parts), -1),
             "across": self._across(envelope),
         }
@@ -195,7 +197,7 @@ class Analysis:
 
     def _octave_edges(self) -> list[tuple[float, float]]:
         """Return the lower and the upper edge of each octave [Hz]."""
-        return list(zip(self.octaves[:-1], self.octaves[1:], strict=True))
+        return list(pairwise(self.octaves))
 
     def _periodogram(self, parts: Floats) -> tuple[Floats, NDArray[np.intp]]:
         """Return the periodograms (W, F) of windows and the number of each bin's band (F,)."""
@@ -210,8 +212,8 @@ class Analysis:
         plain = np.fft.irfft(np.abs(np.fft.rfft(parts, 2 * size)) ** 2)[:, :size]
         unbiased = plain / plain[:, :1] / (1 - np.arange(size) / size)
         edges = np.rint(np.array(LAGS) * self.rate).astype(int)
-        ranges = zip(edges[:-1], edges[1:], strict=True)
-        return np.stack([np.abs(unbiased[:, a:b]).max(axis=1) for a, b in ranges], axis=1)
+        peaks = [np.abs(unbiased[:, a:b]).max(axis=1) for a, b in pairwise(edges)]
+        return np.stack(peaks, axis=1)
 
     def _across(self, envelope: Floats) -> Floats:
         """Return the correlations (W, P) of pairs of octaves' envelopes, all and slow ones."""
@@ -230,6 +232,8 @@ FABRIC = Analysis(rate=2000.0, first=18, last=27, window=0.4)
 and nothing that a finger feels above."""
 SKIN = Analysis(rate=2200.0, first=14, last=29, window=1.0)
 """Analysis of the whole band that a texture has, 22–891 Hz."""
+WHOLE = replace(SKIN, window=3.0)
+"""The same for strokes of 3 s as a whole."""
 
 
 def band_passed(signal: Floats, rate: float, low: float, high: float) -> Complex:

@@ -4,7 +4,7 @@ What is averaged is grouped: windows by recording and speed, strokes by material
 resampled for the intervals of 95 %.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmarks.fit import FABRIC_NAMES, FABRICS, fabric
 from benchmarks.realism.entrants import Entrant
-from benchmarks.realism.features import FABRIC, SKIN, Families
+from benchmarks.realism.features import FABRIC, SKIN, WHOLE, Families
 from tactile.arrays import Floats
 from tactile.texture.recorded_slide import Recorded
 
@@ -28,6 +28,8 @@ FAMILIES = ("fine", "thirds", "distribution", "modulation", "across", "level")
 """Families of features, by which strokes of fabrics are told from recordings."""
 EVERYTHING = {"all": FAMILIES, "all_but_spectrum": FAMILIES[2:]}
 """Families that are judged together, by the name of the figure."""
+IDENTIFYING = ("level", "thirds", "distribution", "modulation", "across")
+"""Families by which materials are identified."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,8 @@ class Mean:
     high: float
 
 
-def mean_of(groups: Sequence[float] | Floats, weights: Sequence[float] | Floats, rng: Generator
+def mean_of(
+    groups: Sequence[float] | Floats, weights: Sequence[float] | Floats, rng: Generator
 ) -> Mean:
     """Return the weighted mean over groups, which are resampled for the interval."""
     values, weight = np.asarray(groups, float), np.asarray(weights, float)
@@ -81,16 +84,12 @@ class Fold:
 
     Attributes
     ----------
-    fabric, speed : str
-        Names of the fabric and of the speed that is left out.
-    seen, made : list of (W, F) by family
+    seen, made : (W, F) by family
         Windows of the recordings at the other speeds, and of strokes there.
     unseen, test : (W, F) by family
         Windows of the recording that is left out, and of strokes at its speed.
     """
 
-    fabric: str
-    speed: str
     seen: Families
     made: Families
     unseen: Families
@@ -126,24 +125,28 @@ def folds_of(folder: Path, name: str, entrant: Entrant, rng: Generator) -> Itera
     are not made from the recording that is left out, which would make that one look like them.
     """
     recordings = {key: fabric(folder, name, key) for key in FABRICS}
-    real = {key: [unit_features(recorded)] for key, recorded in recordings.items()}
+    real = {key: unit_features(recorded) for key, recorded in recordings.items()}
 
-    def strokes_at(key: str, others: set[str]) -> list[Families]:
-        near = sorted(others, key=lambda other: abs(np.log(FABRICS[other] / FABRICS[key])))[:2]
-        train, duration = [recordings[other] for other in near], recordings[key].duration
+    def strokes_at(key: str, others: dict[str, Recorded]) -> Families:
+        train, duration = nearest_speeds(others, key), recordings[key].duration
         strokes = entrant.strokes(train, FABRICS[key], duration, SURFACES, rng)
-        return [unit_features(stroke) for stroke in strokes]
+        return together([unit_features(stroke) for stroke in strokes])
 
     for left in FABRICS:
-        others = set(FABRICS) - {left}
-        made = [strokes_at(key, others - {key}) for key in sorted(others)]
+        others = {key: r for key, r in recordings.items() if key != left}
         yield Fold(
-            fabric=name, speed=left,
-            seen=together(sum((real[key] for key in sorted(others)), [])),
-            made=together(sum(made, [])),
-            unseen=together(real[left]),
-            test=together(strokes_at(left, others)),
-        )  # fmt: skip
+            seen=together([real[key] for key in others]),
+            made=together([strokes_at(key, others) for key in others]),
+            unseen=real[left],
+            test=strokes_at(left, others),
+        )
+
+
+def nearest_speeds(recordings: dict[str, Recorded], key: str) -> list[Recorded]:
+    """Return the recordings at the two other speeds that are nearest to that of a name."""
+    others = [other for other in recordings if other != key]
+    others.sort(key=lambda other: abs(np.log(FABRICS[other] / FABRICS[key])))
+    return [recordings[other] for other in others[:2]]
 
 
 def together(strokes: Sequence[Families]) -> Families:
@@ -155,3 +158,116 @@ def unit_features(stroke: Recorded) -> Families:
     """Return the features of a stroke of a fabric, at an rms of 1."""
     signal = FABRIC.signal(stroke)
     return FABRIC.features(signal / signal.std())
+
+
+def roughness(folder: Path, entrant: Entrant, rng: Generator) -> Floats:
+    """Return how rough the spectra of strokes over fabrics are, (G, 2) array [dB].
+
+    The standard deviation of the periodogram within third octaves is averaged over bands, of
+    windows and of whole strokes, for each fabric and speed.
+    """
+    groups = []
+    for name in FABRIC_NAMES:
+        recordings = {key: fabric(folder, name, key) for key in FABRICS}
+        for key, recorded in recordings.items():
+            train = nearest_speeds(recordings, key)
+            duration = recorded.duration
+            strokes = entrant.strokes(train, FABRICS[key], duration, SURFACES, rng)
+            groups.append(np.mean([stroke_roughness(stroke) for stroke in strokes], axis=0))
+    return np.array(groups)
+
+
+def stroke_roughness(stroke: Recorded) -> tuple[float, float]:
+    """Return the roughness of a stroke over a fabric: of its windows, and as a whole [dB]."""
+    signal = FABRIC.signal(stroke)
+    parts = FABRIC.windows(signal), signal[None]
+    short, whole = (float(FABRIC.roughness(part).mean()) for part in parts)
+    return short, whole
+
+
+# Slides of a BioTac: how far away, and identified or not?
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Recordings of one material, of which one half is held out."""
+
+    train: list[Recorded]
+    held_out: list[Recorded]
+
+
+def split(materials: dict[str, list[Recorded]], rng: Generator) -> dict[str, Halves]:
+    """Return the recordings of materials in random halves."""
+    halves = {}
+    for name, recordings in materials.items():
+        mixed = [recordings[k] for k in rng.permutation(len(recordings))]
+        half = len(mixed) // 2
+        halves[name] = Halves(mixed[:half], mixed[half:])
+    return halves
+
+
+def strokes_like(half: Halves, entrant: Entrant, rng: Generator) -> list[Recorded]:
+    """Return as many strokes as there are recordings to make them from, and like these."""
+    one = half.train[0]
+    return entrant.strokes(half.train, float(one.speed.mean()), one.duration, len(half.train), rng)
+
+
+def distances(strokes: Sequence[Recorded], held_out: Sequence[Recorded]) -> Floats:
+    """Return the distances of strokes from recordings that were held out.
+
+    Parameters
+    ----------
+    strokes, held_out : sequence of Recorded
+        Strokes and recordings of 3 s.
+
+    Returns
+    -------
+    (3,) array of float
+        Rms difference over third octaves from the mean level of those held out: of one stroke, and
+        of the mean of strokes; mean absolute difference of the modulation spectra in octaves of
+        1–64 Hz, which are averaged over strokes and over octaves of vibration [dB].
+    """
+    made, real = (
+        together([WHOLE.features(WHOLE.signal(stroke)) for stroke in side])
+        for side in (strokes, held_out)
+    )
+    error = levels(made) - levels(real).mean(axis=0)
+    modulation = mean_modulation(made) - mean_modulation(real)
+    return np.array([
+        np.sqrt(np.mean(error**2, axis=1)).mean(),
+        np.sqrt(np.mean(error.mean(axis=0) ** 2)),
+        np.abs(modulation).mean(),
+    ])  # fmt: skip
+
+
+def levels(windows: Families) -> Floats:
+    """Return the levels (W, K) of third octaves [dB]."""
+    return windows["level"] + windows["thirds"]
+
+
+def mean_modulation(windows: Families) -> Floats:
+    """Return the modulation spectrum (M,), averaged over windows and octaves [dB]."""
+    return windows["modulation"].reshape(-1, len(WHOLE.modulations)).mean(axis=0)
+
+
+def identified(strokes: dict[str, list[Recorded]], held_out: dict[str, list[Recorded]]) -> Floats:
+    """Return the shares (M,) of strokes over each material that are identified.
+
+    Trees are trained on windows of the recordings that were held out. What they expect of the
+    windows of a stroke is averaged.
+    """
+    known = [np.concatenate([windows_of(r) for r in side]) for side in held_out.values()]
+    label = np.repeat(np.arange(len(known)), [len(windows) for windows in known])
+    forest = trees(np.concatenate(known), label)
+    shares = []
+    for k, name in enumerate(held_out):
+        parts = [windows_of(stroke) for stroke in strokes[name]]
+        expected = forest.predict_proba(np.concatenate(parts)).reshape(len(parts), -1, len(known))
+        shares.append(np.mean(expected.mean(axis=1).argmax(axis=1) == k))
+    return np.array(shares)
+
+
+def windows_of(stroke: Recorded) -> Floats:
+    """Return the features (W, F) by which materials are identified."""
+    windows = SKIN.features(SKIN.signal(stroke))
+    return np.hstack([windows[family] for family in IDENTIFYING])

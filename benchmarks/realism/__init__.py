@@ -1,0 +1,108 @@
+"""Realism: whether strokes are told from recordings, and identified as what was recorded.
+
+Entrants make strokes from recordings (`entrants`): the renderer from a texture that it fits, and
+models to compare it with. Judgments compare the strokes with other recordings (`judgments`), by
+features that share no band with a fit (`features`).
+
+Fabrics are true waveforms, so that a classifier may see everything in them. The waveforms of the
+BioTac are not, whose sign was lost and restored: spectra and statistics are compared, and
+classifiers only identify materials.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.fit import FABRIC_NAMES, biotac, recordings
+from benchmarks.realism.entrants import ENTRANTS
+from benchmarks.realism.judgments import (
+    EVERYTHING,
+    FAMILIES,
+    Mean,
+    distances,
+    folds_of,
+    identified,
+    mean_of,
+    ratio_of,
+    roughness,
+    split,
+    strokes_like,
+)
+from tactile.arrays import Floats
+from tactile.bench.figures import Figure, not_measured
+
+SPLITS = 4
+"""Number of random splits of the recordings of each material into halves."""
+IN_DETAIL = ("rendered", "replayed", "phase_randomized")
+"""Entrants that are judged by each family of features alone."""
+DISTANCES = ("one_stroke", "mean_of_strokes", "modulation")
+"""Names of the distances from recordings held out."""
+
+
+def measure_realism() -> Iterator[Figure]:
+    """Judge all entrants, if there are recordings."""
+    folder = recordings()
+    if folder is None:
+        reason = "needs recordings: set TACTILE_DATA to a folder with biotac and textsense"
+        yield not_measured("realism.recordings", reason)
+        return
+    yield from _told_apart(folder)
+    yield from _rough(folder)
+    yield from _biotac(folder)
+
+
+def _told_apart(folder: Path) -> Iterator[Figure]:
+    """Yield how well strokes over fabrics are told from recordings, by families of features."""
+    for name, entrant in ENTRANTS.items():
+        rng = np.random.default_rng(0)
+        folds = [fold for f in FABRIC_NAMES for fold in folds_of(folder, f, entrant, rng)]
+        weights = [len(fold.unseen["level"]) for fold in folds]
+        alone = {family: (family,) for family in FAMILIES} if name in IN_DETAIL else {}
+        for label, families in (EVERYTHING | alone).items():
+            areas = [fold.area(families) for fold in folds]
+            mean = mean_of(areas, weights, rng)
+            yield from _with_interval(f"realism.fabrics.{name}.{label}", mean, "AUC")
+
+
+def _rough(folder: Path) -> Iterator[Figure]:
+    """Yield the roughness of spectra: of the renderer, of recordings, and of Gaussian noise."""
+    rng = np.random.default_rng(0)
+    groups = {
+        name: roughness(folder, ENTRANTS[name], rng) for name in ("rendered", "replayed", "ar16")
+    }
+    for name, group in groups.items():
+        for length, values in zip(("windows", "strokes"), group.T, strict=True):
+            mean = mean_of(values, np.ones(len(values)), rng)
+            yield from _with_interval(f"realism.roughness.{length}.{name}", mean, "dB")
+
+
+def _biotac(folder: Path) -> Iterator[Figure]:
+    """Yield distances from recordings held out, and shares of materials that are identified."""
+    materials = {
+        name: [slide.recorded for slide in measured.slides]
+        for name, measured in biotac(folder).items()
+    }
+    shares: dict[str, Floats] = {}
+    for name, entrant in ENTRANTS.items():
+        rng = np.random.default_rng(0)
+        distant, share = [], []
+        for halves in [split(materials, rng) for _ in range(SPLITS)]:
+            strokes = {m: strokes_like(half, entrant, rng) for m, half in halves.items()}
+            distant.append([distances(strokes[m], half.held_out) for m, half in halves.items()])
+            share.append(identified(strokes, {m: half.held_out for m, half in halves.items()}))
+        for label, values in zip(DISTANCES, np.mean(distant, axis=0).T, strict=True):
+            mean = mean_of(values, np.ones(len(values)), rng)
+            yield from _with_interval(f"realism.biotac.{label}.{name}", mean, "dB")
+        shares[name] = np.mean(share, axis=0)
+        yield Figure(f"realism.biotac.identified.{name}", float(shares[name].mean()), "of 12")
+    for name in set(ENTRANTS) - {"replayed"}:
+        mean = ratio_of(shares[name], shares["replayed"], np.random.default_rng(0))
+        yield from _with_interval(f"realism.biotac.share.{name}", mean, "of recordings'")
+
+
+def _with_interval(name: str, mean: Mean, unit: str) -> Iterator[Figure]:
+    """Yield a mean and the ends of its interval."""
+    yield Figure(name, mean.value, unit)
+    yield Figure(f"{name}.low", mean.low, unit)
+    yield Figure(f"{name}.high", mean.high, unit)

@@ -24,6 +24,7 @@ from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
 from benchmarks.optimize import measure_optimize
 from benchmarks.protocol import measure_protocol
+from benchmarks.realism import measure_realism
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
 from benchmarks.sensing import measure_sensing
 from benchmarks.sensing_guard import measure_guard
@@ -86,6 +87,7 @@ LONG: dict[str, Benchmark] = {
     "hour": partial(crowd.measure_crowd, crowd.SOAK),
     "crowd-long": partial(crowd.measure_crowd, crowd.LONG),
     "library": measure_library,
+    "realism": measure_realism,
     "dask": measure_dask,
     "million": measure_million,
 }

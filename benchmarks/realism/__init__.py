@@ -20,21 +20,17 @@ from benchmarks.realism.judgments import (
     EVERYTHING,
     FAMILIES,
     Mean,
-    distances,
+    Split,
     folds_of,
-    identified,
     mean_of,
-    ratio_of,
     roughness,
-    split,
-    strokes_like,
 )
 from tactile.arrays import Floats
 from tactile.bench.figures import Figure, not_measured
 
 SPLITS = 4
 """Number of random splits of the recordings of each material into halves."""
-IN_DETAIL = ("rendered", "replayed", "phase_randomized")
+IN_DETAIL = ("rendered", "replayed")
 """Entrants that are judged by each family of features alone."""
 DISTANCES = ("one_stroke", "mean_of_strokes", "modulation")
 """Names of the distances from recordings held out."""
@@ -60,21 +56,17 @@ def _told_apart(folder: Path) -> Iterator[Figure]:
         weights = [len(fold.unseen["level"]) for fold in folds]
         alone = {family: (family,) for family in FAMILIES} if name in IN_DETAIL else {}
         for label, families in (EVERYTHING | alone).items():
-            areas = [fold.area(families) for fold in folds]
-            mean = mean_of(areas, weights, rng)
+            mean = mean_of([fold.area(families) for fold in folds], weights)
             yield from _with_interval(f"realism.fabrics.{name}.{label}", mean, "AUC")
 
 
 def _rough(folder: Path) -> Iterator[Figure]:
     """Yield the roughness of spectra: of the renderer, of recordings, and of Gaussian noise."""
     rng = np.random.default_rng(0)
-    groups = {
-        name: roughness(folder, ENTRANTS[name], rng) for name in ("rendered", "replayed", "ar16")
-    }
-    for name, group in groups.items():
-        for length, values in zip(("windows", "strokes"), group.T, strict=True):
-            mean = mean_of(values, np.ones(len(values)), rng)
-            yield from _with_interval(f"realism.roughness.{length}.{name}", mean, "dB")
+    for name in ("rendered", "replayed", "ar16"):
+        groups = roughness(folder, ENTRANTS[name], rng)
+        for length, values in zip(("windows", "strokes"), groups.T, strict=True):
+            yield from _with_interval(f"realism.roughness.{name}.{length}", mean_of(values), "dB")
 
 
 def _biotac(folder: Path) -> Iterator[Figure]:
@@ -83,22 +75,22 @@ def _biotac(folder: Path) -> Iterator[Figure]:
         name: [slide.recorded for slide in measured.slides]
         for name, measured in biotac(folder).items()
     }
+    rng = np.random.default_rng(0)
+    splits = [Split(materials, rng) for _ in range(SPLITS)]
     shares: dict[str, Floats] = {}
     for name, entrant in ENTRANTS.items():
-        rng = np.random.default_rng(0)
-        distant, share = [], []
-        for halves in [split(materials, rng) for _ in range(SPLITS)]:
-            strokes = {m: strokes_like(half, entrant, rng) for m, half in halves.items()}
-            distant.append([distances(strokes[m], half.held_out) for m, half in halves.items()])
-            share.append(identified(strokes, {m: half.held_out for m, half in halves.items()}))
+        strokes = [one.strokes(entrant, rng) for one in splits]
+        distant = [one.distances(made) for one, made in zip(splits, strokes, strict=True)]
         for label, values in zip(DISTANCES, np.mean(distant, axis=0).T, strict=True):
-            mean = mean_of(values, np.ones(len(values)), rng)
-            yield from _with_interval(f"realism.biotac.{label}.{name}", mean, "dB")
-        shares[name] = np.mean(share, axis=0)
-        yield Figure(f"realism.biotac.identified.{name}", float(shares[name].mean()), "of 12")
-    for name in set(ENTRANTS) - {"replayed"}:
-        mean = ratio_of(shares[name], shares["replayed"], np.random.default_rng(0))
-        yield from _with_interval(f"realism.biotac.share.{name}", mean, "of recordings'")
+            yield from _with_interval(f"realism.biotac.{name}.{label}", mean_of(values), "dB")
+        identified = [one.identified(made) for one, made in zip(splits, strokes, strict=True)]
+        shares[name] = np.mean(identified, axis=0)
+        yield Figure(f"realism.biotac.{name}.identified", float(shares[name].mean()), "of 12")
+    for name, share in shares.items():
+        if name != "replayed":
+            real = np.maximum(shares["replayed"], 1e-9)
+            mean = mean_of(share / real, real)
+            yield from _with_interval(f"realism.biotac.{name}.share", mean, "of recordings'")
 
 
 def _with_interval(name: str, mean: Mean, unit: str) -> Iterator[Figure]:

@@ -213,7 +213,7 @@ def narrowed(recorded: Recorded) -> Floats:
 
 def stretched_size(recorded: Recorded, speed: float, duration: float) -> int:
     """Return the samples at the speed of a recording that last for a duration at another speed."""
-    return round(duration * NARROW * speed / recorded.speed.mean())
+    return round(duration * NARROW * speed / float(recorded.speed.mean()))
 
 
 def at_speed(recorded: Recorded, signal: Floats, speed: float) -> Recorded:

@@ -27,7 +27,7 @@ SLOW = 1 / 16
 """Duration over which envelopes are averaged before they are compared across bands [s]."""
 LAGS = (0.025, 0.05, 0.1, 0.2)
 """Edges of the ranges of lags in which autocorrelation is searched for its peak [s]."""
-MODULATIONS = 2.0 ** np.arange(7)
+MODULATIONS: Floats = np.exp2(np.arange(7.0))
 """Centers of the octaves of modulation [Hz]."""
 Families = dict[str, Floats]
 """Features (W, F) of W windows, by the name of their family."""

@@ -7,6 +7,7 @@ resampled for the intervals of 95 %.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.random import Generator
@@ -41,22 +42,14 @@ class Mean:
     high: float
 
 
-def mean_of(
-    groups: Sequence[float] | Floats, weights: Sequence[float] | Floats, rng: Generator
-) -> Mean:
-    """Return the weighted mean over groups, which are resampled for the interval."""
-    values, weight = np.asarray(groups, float), np.asarray(weights, float)
-    draw = rng.integers(len(values), size=(RESAMPLED, len(values)))
+def mean_of(groups: Sequence[float] | Floats, weights: Sequence[float] | Floats | None = None) -> Mean:
+    """Return the mean over groups, weighted if so wished, and resample them for the interval."""
+    values = np.asarray(groups, dtype=np.float64)
+    weight = np.ones(len(values)) if weights is None else np.asarray(weights, dtype=np.float64)
+    draw = np.random.default_rng(0).integers(len(values), size=(RESAMPLED, len(values)))
     means = (values * weight)[draw].sum(axis=1) / weight[draw].sum(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
     return Mean(float(np.average(values, weights=weight)), float(low), float(high))
-
-
-def ratio_of(upper: Floats, lower: Floats, rng: Generator) -> Mean:
-    """Return the ratio of two means over the same groups, which are resampled together."""
-    draw = rng.integers(len(upper), size=(RESAMPLED, len(upper)))
-    low, high = np.quantile(upper[draw].sum(axis=1) / lower[draw].sum(axis=1), [0.025, 0.975])
-    return Mean(float(upper.sum() / lower.sum()), float(low), float(high))
 
 
 def area_under_curve(positive: Floats, negative: Floats) -> float:
@@ -65,14 +58,23 @@ def area_under_curve(positive: Floats, negative: Floats) -> float:
     return float(np.mean((above > 0) + 0.5 * (above == 0)))
 
 
-def trees(x: Floats, y: NDArray[np.intp], seed: int = 0):  # type: ignore[no-untyped-def]
-    """Return extremely randomized trees that are trained on features (W, F) and labels (W,)."""
+class Classifier(Protocol):
+    """Trained classifier of scikit-learn."""
+
+    def predict_proba(self, features: Floats) -> Floats:
+        """Return the probabilities (W, C) of each class, for features (W, F)."""
+        ...
+
+
+def trees(features: Floats, label: NDArray[np.intp]) -> Classifier:
+    """Return extremely randomized trees that are trained on features (W, F) with labels (W,)."""
     from sklearn.ensemble import ExtraTreesClassifier  # The import takes a second.
 
     forest = ExtraTreesClassifier(
-        TREES, min_samples_leaf=2, class_weight="balanced", random_state=seed
+        TREES, min_samples_leaf=2, class_weight="balanced", random_state=0
     )
-    return forest.fit(x, y)
+    fitted: Classifier = forest.fit(features, label)
+    return fitted
 
 
 # Fabrics: real or made?
@@ -188,56 +190,80 @@ def stroke_roughness(stroke: Recorded) -> tuple[float, float]:
 # Slides of a BioTac: how far away, and identified or not?
 
 
-@dataclass(frozen=True)
-class Halves:
-    """Recordings of one material, of which one half is held out."""
-
-    train: list[Recorded]
-    held_out: list[Recorded]
-
-
-def split(materials: dict[str, list[Recorded]], rng: Generator) -> dict[str, Halves]:
-    """Return the recordings of materials in random halves."""
-    halves = {}
-    for name, recordings in materials.items():
-        mixed = [recordings[k] for k in rng.permutation(len(recordings))]
-        half = len(mixed) // 2
-        halves[name] = Halves(mixed[:half], mixed[half:])
-    return halves
-
-
-def strokes_like(half: Halves, entrant: Entrant, rng: Generator) -> list[Recorded]:
-    """Return as many strokes as there are recordings to make them from, and like these."""
-    one = half.train[0]
-    return entrant.strokes(half.train, float(one.speed.mean()), one.duration, len(half.train), rng)
-
-
-def distances(strokes: Sequence[Recorded], held_out: Sequence[Recorded]) -> Floats:
-    """Return the distances of strokes from recordings that were held out.
+class Split:
+    """Random halves of the recordings of materials, of which one is held out to judge by.
 
     Parameters
     ----------
-    strokes, held_out : sequence of Recorded
-        Strokes and recordings of 3 s.
-
-    Returns
-    -------
-    (3,) array of float
-        Rms difference over third octaves from the mean level of those held out: of one stroke, and
-        of the mean of strokes; mean absolute difference of the modulation spectra in octaves of
-        1–64 Hz, which are averaged over strokes and over octaves of vibration [dB].
+    materials : dict of list of Recorded
+        Recordings of 3 s by material.
+    rng : numpy.random.Generator
+        Source of random numbers.
     """
-    made, real = (
-        together([WHOLE.features(WHOLE.signal(stroke)) for stroke in side])
-        for side in (strokes, held_out)
-    )
-    error = levels(made) - levels(real).mean(axis=0)
-    modulation = mean_modulation(made) - mean_modulation(real)
-    return np.array([
-        np.sqrt(np.mean(error**2, axis=1)).mean(),
-        np.sqrt(np.mean(error.mean(axis=0) ** 2)),
-        np.abs(modulation).mean(),
-    ])  # fmt: skip
+
+    def __init__(self, materials: dict[str, list[Recorded]], rng: Generator) -> None:
+        self.train: list[list[Recorded]] = []
+        held_out: list[list[Recorded]] = []
+        for recordings in materials.values():
+            mixed = [recordings[k] for k in rng.permutation(len(recordings))]
+            half = len(mixed) // 2
+            self.train.append(mixed[:half])
+            held_out.append(mixed[half:])
+        self._whole = [whole_features(side) for side in held_out]
+        known = [np.concatenate([windows_of(r) for r in side]) for side in held_out]
+        label = np.repeat(np.arange(len(known)), [len(windows) for windows in known])
+        self._forest = trees(np.concatenate(known), label)
+
+    def strokes(self, entrant: Entrant, rng: Generator) -> list[list[Recorded]]:
+        """Return strokes over each material, as many as recordings of which they are made."""
+        return [
+            entrant.strokes(side, float(side[0].speed.mean()), side[0].duration, len(side), rng)
+            for side in self.train
+        ]
+
+    def distances(self, strokes: list[list[Recorded]]) -> Floats:
+        """Compute the distances of strokes from the recordings that were held out.
+
+        Parameters
+        ----------
+        strokes : list of list of Recorded
+            Strokes over each material.
+
+        Returns
+        -------
+        (M, 3) array of float
+            Rms difference over third octaves from the mean level of those held out: of one stroke,
+            and of the mean of strokes; mean absolute difference of the modulation spectra in
+            octaves of 1–64 Hz, which are averaged over strokes and octaves of vibration [dB].
+        """
+        rows = []
+        for side, real in zip(strokes, self._whole, strict=True):
+            made = whole_features(side)
+            error = levels(made) - levels(real).mean(axis=0)
+            one_stroke = np.sqrt(np.mean(error**2, axis=1)).mean()
+            mean_of_strokes = np.sqrt(np.mean(error.mean(axis=0) ** 2))
+            modulation = np.abs(mean_modulation(made) - mean_modulation(real)).mean()
+            rows.append((one_stroke, mean_of_strokes, modulation))
+        return np.array(rows)
+
+    def identified(self, strokes: list[list[Recorded]]) -> Floats:
+        """Compute the shares (M,) of strokes over each material that are identified.
+
+        Trees are trained on windows of the recordings that were held out. What they expect of the
+        windows of a stroke is averaged.
+        """
+        shares = []
+        for k, side in enumerate(strokes):
+            parts = [windows_of(stroke) for stroke in side]
+            scores = self._forest.predict_proba(np.concatenate(parts))
+            expected = scores.reshape(len(parts), -1, len(strokes)).mean(axis=1)
+            shares.append(np.mean(expected.argmax(axis=1) == k))
+        return np.array(shares)
+
+
+def whole_features(strokes: Sequence[Recorded]) -> Families:
+    """Return the features of strokes of 3 s, each as one window."""
+    return together([WHOLE.features(WHOLE.signal(stroke)) for stroke in strokes])
 
 
 def levels(windows: Families) -> Floats:
@@ -247,24 +273,7 @@ def levels(windows: Families) -> Floats:
 
 def mean_modulation(windows: Families) -> Floats:
     """Return the modulation spectrum (M,), averaged over windows and octaves [dB]."""
-    return windows["modulation"].reshape(-1, len(WHOLE.modulations)).mean(axis=0)
-
-
-def identified(strokes: dict[str, list[Recorded]], held_out: dict[str, list[Recorded]]) -> Floats:
-    """Return the shares (M,) of strokes over each material that are identified.
-
-    Trees are trained on windows of the recordings that were held out. What they expect of the
-    windows of a stroke is averaged.
-    """
-    known = [np.concatenate([windows_of(r) for r in side]) for side in held_out.values()]
-    label = np.repeat(np.arange(len(known)), [len(windows) for windows in known])
-    forest = trees(np.concatenate(known), label)
-    shares = []
-    for k, name in enumerate(held_out):
-        parts = [windows_of(stroke) for stroke in strokes[name]]
-        expected = forest.predict_proba(np.concatenate(parts)).reshape(len(parts), -1, len(known))
-        shares.append(np.mean(expected.mean(axis=1).argmax(axis=1) == k))
-    return np.array(shares)
+    return np.asarray(windows["modulation"].reshape(-1, len(WHOLE.modulations)).mean(axis=0))
 
 
 def windows_of(stroke: Recorded) -> Floats:

@@ -7,15 +7,14 @@ v/v0 times as strong.
 """
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Protocol
 
 import numpy as np
 from numpy.random import Generator
-from scipy.signal import lfilter, resample_poly
+from scipy.signal import lfilter
 
 from benchmarks.fit import ABOUT, texture_of_fit
-from benchmarks.realism.features import SKIN
+from benchmarks.realism.features import SKIN, resampled
 from benchmarks.rendering import SKIPPED, first_contactors
 from tactile.arrays import Floats
 from tactile.bench.figures import RATE
@@ -23,12 +22,17 @@ from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.texture.fitting import describe, measure_slides
+from tactile.texture.formats.hatt import polynomial
+from tactile.texture.formats.surface_effect import effect_of
+from tactile.texture.formats.synthesis import synthesize
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import INTEGRATIONS
 
 NARROW = SKIN.rate
 """Sample rate of recordings of which models are made [Hz]. A wider band would spend the poles of an
 autoregressive model where a finger feels nothing."""
+HATT_ORDER = 16
+"""Number of poles of the models of `Penn`."""
 SETTLING = 2000
 """Number of samples until a filter of noise has forgotten its beginning."""
 
@@ -68,20 +72,53 @@ class RenderedTexture:
     def strokes(
         self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
     ) -> list[Recorded]:
-        """Render strokes over a fitted texture, each over another surface; see `Entrant`.
-
-        The level that a fit assumes for an uncalibrated recording is replaced by the recordings'.
-        """
+        """Render strokes over a fitted texture, each over another surface; see `Entrant`."""
         texture = texture_of_fit(describe(measure_slides(train), ABOUT))
         display = first_contactors(load_display("reference-24"), 1)
         path = Trajectory.line(speed=speed, duration=duration + 2 * SKIPPED / RATE)
-        derivatives = INTEGRATIONS[train[0].quantity]
-        strokes = []
-        for seed in rng.integers(1 << 31, size=count):
-            shear = render(display, texture, path, seed=int(seed)).shear[:, 0]
-            signal = derivative(shear, derivatives)[SKIPPED:-SKIPPED]
-            strokes.append(stroke_like(train[0], signal, RATE, speed))
-        return strokes if train[0].calibrated else leveled(strokes, train)
+        seeds = rng.integers(1 << 31, size=count)
+        shears = [render(display, texture, path, seed=int(seed)).shear[:, 0] for seed in seeds]
+        return strokes_of_shear(shears, train, speed)
+
+
+class TextureEffect:
+    """Texture that is fitted and made an effect of MPEG-I Haptics, a second that repeats."""
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Synthesize an effect, each stroke from another time on; see `Entrant`."""
+        fit = describe(measure_slides(train), ABOUT)
+        samples = synthesize(effect_of(fit.descriptor, speed)[0], RATE)[: round(RATE), 0]
+        size = round(duration * RATE) + 2 * SKIPPED
+        starts = rng.integers(len(samples), size=count)
+        shears = [np.resize(np.roll(samples, start), size) for start in starts]
+        return strokes_of_shear(shears, train, speed)
+
+
+class Penn:
+    """Autoregressive models at each recorded speed, between which is interpolated.
+
+    As in the Penn Haptic Texture Toolkit, line spectral frequencies and the variance of the noise
+    are interpolated linearly, and held outside of the recorded speeds (Culbertson, Unwin &
+    Kuchenbecker, IEEE ToH 2014).
+    """
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Filter noise; see `Entrant`."""
+        speeds = np.unique([float(recorded.speed.mean()) for recorded in train])
+        rows = []
+        for recorded_speed in speeds:
+            near = nearest(train, recorded_speed)
+            model, variance = burg([resampled(r, NARROW) for r in near], HATT_ORDER)
+            rows.append([*line_spectral_frequencies(model), variance])
+        *lsf, variance = (np.interp(speed, speeds, column) for column in np.transpose(rows))
+        model, size = polynomial(np.array(lsf)), round(duration * NARROW)
+        noises = rng.normal(0, np.sqrt(variance), (count, SETTLING + size))
+        signals = lfilter([1.0], model, noises)[:, SETTLING:]
+        return [stroke_like(train[0], signal, NARROW, speed) for signal in signals]
 
 
 @dataclass(frozen=True)
@@ -101,7 +138,7 @@ class Autoregressive:
     ) -> list[Recorded]:
         """Filter noise; see `Entrant`."""
         near = nearest(train, speed)
-        model, variance = burg([narrowed(recorded) for recorded in near], self.order)
+        model, variance = burg([resampled(recorded, NARROW) for recorded in near], self.order)
         size = stretched_size(near[0], speed, duration)
 
         def stroke() -> Recorded:
@@ -138,7 +175,7 @@ class Replayed:
         size = stretched_size(near[0], speed, duration)
         strokes = []
         for k in range(count):
-            signal = narrowed(near[k % len(near)])
+            signal = resampled(near[k % len(near)], NARROW)
             endless = np.pad(signal, (0, max(size - len(signal), 0)), "reflect")
             strokes.append(at_speed(near[0], endless[:size], speed))
         return strokes
@@ -154,7 +191,7 @@ class PhaseRandomized:
         near = nearest(train, speed)
         strokes = []
         for k in range(count):
-            signal = narrowed(near[k % len(near)])
+            signal = resampled(near[k % len(near)], NARROW)
             spectrum = np.fft.rfft(signal)
             phase = np.exp(2j * np.pi * rng.uniform(size=len(spectrum)))
             endless = np.fft.irfft(np.abs(spectrum) * phase, len(signal))
@@ -169,6 +206,8 @@ ENTRANTS: dict[str, Entrant] = {
     "phase_randomized": PhaseRandomized(),
     "ar16": Autoregressive(16),
     "ar8": Autoregressive(8),
+    "hatt": Penn(),
+    "mpeg": TextureEffect(),
     "white": White(),
 }
 """Entrants by name."""
@@ -180,6 +219,19 @@ def stroke_like(recorded: Recorded, signal: Floats, rate: float, speed: float) -
         recorded, name="stroke", signal=signal, sample_rate=rate,
         speed=np.full(len(signal), speed), normal_force=None, tangential_force=None,
     )  # fmt: skip
+
+
+def strokes_of_shear(shears: list[Floats], train: list[Recorded], speed: float) -> list[Recorded]:
+    """Return shears (S,) as strokes of the quantity of recordings, without their ends.
+
+    The level that a fit assumes for an uncalibrated recording is replaced by that of the recording.
+    """
+    times = INTEGRATIONS[train[0].quantity]
+    strokes = [
+        stroke_like(train[0], derivative(shear, times)[SKIPPED:-SKIPPED], RATE, speed)
+        for shear in shears
+    ]
+    return strokes if train[0].calibrated else leveled(strokes, train)
 
 
 def derivative(signal: Floats, times: int) -> Floats:
@@ -202,13 +254,6 @@ def nearest(train: list[Recorded], speed: float) -> list[Recorded]:
     """Return the recordings at the speed that is nearest to another one."""
     distance = [abs(np.log(recorded.speed.mean() / speed)) for recorded in train]
     return [r for r, d in zip(train, distance, strict=True) if d < min(distance) + 0.05]
-
-
-def narrowed(recorded: Recorded) -> Floats:
-    """Return the signal of a recording at the sample rate `NARROW`."""
-    ratio = Fraction(NARROW / recorded.sample_rate).limit_denominator(1000)
-    plain = recorded.signal - recorded.signal.mean()
-    return np.asarray(resample_poly(plain, ratio.numerator, ratio.denominator))
 
 
 def stretched_size(recorded: Recorded, speed: float, duration: float) -> int:
@@ -253,3 +298,10 @@ def burg(signals: list[Floats], order: int) -> tuple[Floats, float]:
             ((ahead + turn * behind)[1:], (behind + turn * ahead)[:-1]) for ahead, behind in sides
         ]
     return model, variance
+
+
+def line_spectral_frequencies(model: Floats) -> Floats:
+    """Return the line spectral frequencies (P,) of a model (P + 1,), ascending [rad/sample]."""
+    ahead, behind = np.append(model, 0.0), np.append(0.0, model[::-1])
+    angles = np.angle(np.concatenate([np.roots(ahead + behind), np.roots(ahead - behind)]))
+    return np.sort(angles[(angles > 1e-6) & (angles < np.pi - 1e-6)])

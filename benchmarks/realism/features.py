@@ -80,11 +80,8 @@ class Analysis:
         (S,) array of float
             Signal in the unit of the stroke.
         """
-        ratio = Fraction(self.rate / recorded.sample_rate).limit_denominator(1000)
-        plain = recorded.signal - recorded.signal.mean()
-        even = resample_poly(plain, ratio.numerator, ratio.denominator)
         band = butter(ORDER, self.thirds[[0, -1]], "bandpass", fs=self.rate, output="sos")
-        return np.asarray(sosfiltfilt(band, even))
+        return np.asarray(sosfiltfilt(band, resampled(recorded, self.rate)))
 
     def windows(self, signal: Floats) -> Floats:
         """Cut the last axis (..., S) into windows (W, ..., n) that overlap by half.
@@ -234,6 +231,26 @@ SKIN = Analysis(rate=2200.0, first=14, last=29, window=1.0)
 """Analysis of the whole band that a texture has, 22–891 Hz."""
 WHOLE = replace(SKIN, window=3.0)
 """The same for strokes of 3 s as a whole."""
+
+
+def resampled(recorded: Recorded, rate: float) -> Floats:
+    """Bring a stroke to another sample rate, without its mean.
+
+    Parameters
+    ----------
+    recorded : Recorded
+        Recorded or rendered stroke.
+    rate : float
+        Sample rate [Hz].
+
+    Returns
+    -------
+    (S,) array of float
+        Signal.
+    """
+    ratio = Fraction(rate / recorded.sample_rate).limit_denominator(1000)
+    plain = recorded.signal - recorded.signal.mean()
+    return np.asarray(resample_poly(plain, ratio.numerator, ratio.denominator))
 
 
 def band_passed(signal: Floats, rate: float, low: float, high: float) -> Complex:

@@ -42,7 +42,9 @@ class Mean:
     high: float
 
 
-def mean_of(groups: Sequence[float] | Floats, weights: Sequence[float] | Floats | None = None) -> Mean:
+def mean_of(
+    groups: Sequence[float] | Floats, weights: Sequence[float] | Floats | None = None
+) -> Mean:
     """Return the mean over groups, weighted if so wished, and resample them for the interval."""
     values = np.asarray(groups, dtype=np.float64)
     weight = np.ones(len(values)) if weights is None else np.asarray(weights, dtype=np.float64)

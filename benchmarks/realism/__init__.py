@@ -28,7 +28,7 @@ from benchmarks.realism.judgments import (
 from tactile.arrays import Floats
 from tactile.bench.figures import Figure, not_measured
 
-SPLITS = 4
+SPLITS = 3
 """Number of random splits of the recordings of each material into halves."""
 IN_DETAIL = ("rendered", "replayed")
 """Entrants that are judged by each family of features alone."""

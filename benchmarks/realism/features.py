@@ -14,7 +14,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, resample_poly, sosfiltfilt
-from scipy.stats import kurtosis, skew
 
 from tactile.arrays import Complex, Floats
 from tactile.texture.recorded_slide import Recorded
@@ -122,9 +121,7 @@ class Analysis:
             "level": level.mean(axis=1, keepdims=True),
             "thirds": level - level.mean(axis=1, keepdims=True),
             "fine": np.hstack([self.roughness(parts), self._periodicity(parts)]),
-            "distribution": np.hstack(
-                [amplitudes(parts), kurtosis(self.windows(octaves.real), axis=2)]
-            ),
+            "distribution": np.hstack([amplitudes(parts), peakedness(self.windows(octaves.real))]),
             "modulation": self.modulation(envelope).reshape(len(parts), -1),
             "across": self._across(envelope),
         }
@@ -164,10 +161,11 @@ class Analysis:
         level = 10 * np.log10(power)
         rough = []
         for k in range(len(self.thirds) - 1):
-            bins = level[:, band == k].T
-            trend = np.vander(np.arange(len(bins)), 2)
-            rest = bins - trend @ np.linalg.lstsq(trend, bins, rcond=None)[0]
-            rough.append(np.sqrt((rest**2).sum(axis=0) / (len(bins) - 2)))
+            bins = level[:, band == k]
+            rest = bins - bins.mean(axis=1, keepdims=True)
+            slope = np.arange(bins.shape[1]) - (bins.shape[1] - 1) / 2
+            rest -= np.outer(rest @ slope / (slope @ slope), slope)
+            rough.append(np.sqrt((rest**2).sum(axis=1) / (bins.shape[1] - 2)))
         return np.stack(rough, axis=1)
 
     def modulation(self, envelope: Floats) -> Floats:
@@ -287,6 +285,23 @@ def amplitudes(parts: Floats) -> Floats:
     (W, 2 + Q) array of float
         Excess kurtosis, skewness, and the quantiles of the magnitude relative to its rms.
     """
-    rms = np.sqrt(np.mean(parts**2, axis=1))
-    quantiles = np.quantile(np.abs(parts), QUANTILES, axis=1) / rms
-    return np.column_stack([kurtosis(parts, axis=1), skew(parts, axis=1), quantiles.T])
+    unit = parts / np.sqrt(np.mean(parts**2, axis=1, keepdims=True))
+    quantiles = np.quantile(np.abs(unit), QUANTILES, axis=1).T
+    return np.column_stack([peakedness(parts), np.mean(unit**3, axis=1), quantiles])
+
+
+def peakedness(signal: Floats) -> Floats:
+    """Compute the excess kurtosis over the last axis of signals whose mean is 0.
+
+    Parameters
+    ----------
+    signal : (..., S) array of float
+        Signals.
+
+    Returns
+    -------
+    (...) array of float
+        Excess kurtosis, 0 for Gaussian noise.
+    """
+    power = signal**2
+    return np.asarray(np.mean(power**2, axis=-1) / np.mean(power, axis=-1) ** 2 - 3)

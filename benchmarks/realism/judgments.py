@@ -19,10 +19,12 @@ from benchmarks.realism.features import FABRIC, SKIN, WHOLE, Families
 from tactile.arrays import Floats
 from tactile.texture.recorded_slide import Recorded
 
-TREES = 200
+TREES = 100
 """Number of trees of a classifier."""
 SURFACES = 4
 """Number of strokes, each over another surface, for each recording of a fabric."""
+STROKES = 6
+"""Number of strokes for each half of the recordings under a BioTac."""
 RESAMPLED = 2000
 """Number of times that groups are resampled for an interval."""
 FAMILIES = ("fine", "thirds", "distribution", "modulation", "across", "level")
@@ -217,9 +219,9 @@ class Split:
         self._forest = trees(np.concatenate(known), label)
 
     def strokes(self, entrant: Entrant, rng: Generator) -> list[list[Recorded]]:
-        """Return strokes over each material, as many as recordings of which they are made."""
+        """Return strokes over each material, at the speed and of the length of a recording."""
         return [
-            entrant.strokes(side, float(side[0].speed.mean()), side[0].duration, len(side), rng)
+            entrant.strokes(side, float(side[0].speed.mean()), side[0].duration, STROKES, rng)
             for side in self.train
         ]
 

@@ -25,10 +25,10 @@ from benchmarks.realism.entrants import (
     line_spectral_frequencies,
 )
 from benchmarks.realism.features import FABRIC, SKIN, WHOLE, amplitudes
-from benchmarks.realism.judgments import Fold, Split, area_under_curve, mean_of, together
+from benchmarks.realism.judgments import FAMILIES, Fold, Split, area_under_curve, mean_of
 from tactile.arrays import Floats
 from tactile.texture.formats.hatt import polynomial
-from tactile.texture.recorded_slide import Recorded
+from tactile.texture.recorded_slide import Quantity, Recorded
 
 GAUSSIAN = 10 / np.log(10) * np.sqrt(polygamma(1, 1))
 """Standard deviation of the level of a periodogram of Gaussian noise, whose power is exponentially
@@ -42,11 +42,13 @@ def rng() -> Generator:
     return np.random.default_rng(1)
 
 
-def recorded(signal: Floats, *, rate: float = NARROW, speed: float = 0.02) -> Recorded:
-    """Return a signal as an uncalibrated recording."""
+def recorded(
+    signal: Floats, *, rate: float = NARROW, quantity: Quantity = "acceleration"
+) -> Recorded:
+    """Return a signal as an uncalibrated recording at 20 mm/s."""
     return Recorded(
-        name="synthetic", signal=signal, quantity="acceleration", sample_rate=rate,
-        speed=np.full(len(signal), speed), calibrated=False,
+        name="synthetic", signal=signal, quantity=quantity, sample_rate=rate,
+        speed=np.full(len(signal), 0.02), calibrated=False,
     )  # fmt: skip
 
 
@@ -55,12 +57,10 @@ def process(rng: Generator, count: int) -> Floats:
     return np.asarray(lfilter([1.0], MODEL, rng.standard_normal(500 + count))[500:])
 
 
-def lines(rng: Generator, count: int) -> Floats:
-    """Return windows (W, 800) of sines of equal power, 20 Hz apart."""
-    time = np.arange(800) / FABRIC.rate
-    phase = rng.uniform(0, 2 * np.pi, (count, 30, 1))
-    frequency = 20.0 * np.arange(1, 31)[:, None]
-    return np.asarray(np.sin(2 * np.pi * frequency * time + phase).sum(axis=1))
+def lines(count: int) -> Floats:
+    """Return samples of sines of equal power, 20 Hz apart."""
+    time = np.arange(count) / FABRIC.rate
+    return np.asarray(sum(np.sin(2 * np.pi * 20 * k * time + k**2) for k in range(1, 31)))
 
 
 # Features
@@ -82,16 +82,16 @@ def test_roughness_does_not_depend_on_the_slope_of_the_spectrum(rng: Generator) 
     assert abs(flat - sloped) < 0.2
 
 
-def test_lines_are_rougher_than_noise(rng: Generator) -> None:
-    assert FABRIC.roughness(lines(rng, 10)).mean() > 2 * GAUSSIAN
+def test_lines_are_rougher_than_noise() -> None:
+    assert FABRIC.roughness(lines(800)[None]).mean() > 2 * GAUSSIAN
 
 
-def test_third_octaves_hold_the_power_of_noise_and_of_a_sine() -> None:
-    """White noise of variance 1 has a density of 2/rate; a sine lies in one third octave."""
-    rng = np.random.default_rng(2)
+def test_third_octaves_hold_the_power_of_noise_and_of_a_sine(rng: Generator) -> None:
+    """White noise of variance 1 has a density of 2/rate; a sine lies in one third octave.
+
+    The lowest bands hold few bins, and the mean of the logarithm of their power is lower.
+    """
     level = SKIN.third_octaves(rng.standard_normal((400, 2200))).mean(axis=0)
-    bias = 10 / np.log(10) * polygamma(0, 1)  # that of the logarithm of one bin
-    assert np.all(level[8:] > 10 * np.log10(2 / SKIN.rate) + bias)
     np.testing.assert_allclose(level[10:], 10 * np.log10(2 / SKIN.rate), atol=0.15)
     tone = np.sin(2 * np.pi * 100 * np.arange(2200) / SKIN.rate)[None]
     assert SKIN.third_octaves(tone).argmax() == 20 - SKIN.first
@@ -125,8 +125,8 @@ def test_bursts_that_all_bands_share_are_seen_across_bands(rng: Generator) -> No
 def test_features_do_not_depend_on_the_sample_rate(rng: Generator) -> None:
     """A band-limited signal is the same at 2.2 kHz and at 8 kHz, as a renderer's."""
     time = np.arange(24_000) / 8000
-    frequency = rng.uniform(60, 500, (200, 1))
-    signal = np.sin(2 * np.pi * frequency * time + rng.uniform(0, 6.28, (200, 1))).sum(axis=0)
+    frequency = rng.uniform(60, 500, (50, 1))
+    signal = np.sin(2 * np.pi * frequency * time + rng.uniform(0, 6.28, (50, 1))).sum(axis=0)
     every = FABRIC.signal(recorded(signal, rate=8000.0))
     half = FABRIC.signal(recorded(signal[::2], rate=4000.0))
     inside = slice(200, -200)
@@ -146,22 +146,23 @@ def test_an_interval_contains_the_mean_in_95_of_100_cases(rng: Generator) -> Non
 
 
 def fold(real: Floats, made: Floats) -> Fold:
-    """Return a fold whose halves are those of some windows (W, S) of each side."""
-    sides = [
-        together([FABRIC.features(window) for window in part])
-        for side in (real, made)
-        for part in (side[::2], side[1::2])
-    ]
-    return Fold(seen=sides[0], unseen=sides[1], made=sides[2], test=sides[3])
+    """Return a fold whose halves are those of some signals (S,)."""
+    half = len(real) // 2
+    parts = [FABRIC.features(part) for side in (real, made) for part in (side[:half], side[half:])]
+    return Fold(seen=parts[0], unseen=parts[1], made=parts[2], test=parts[3])
 
 
 def test_noise_is_not_told_from_noise_but_lines_are(rng: Generator) -> None:
-    """Equal distributions have an area of 0.5 with a standard error of 0.04 here."""
-    noise, other = rng.standard_normal((2, 160, 800))
-    assert abs(fold(noise, other).area(("fine",)) - 0.5) < 0.14
-    assert fold(noise[:40], lines(rng, 40)).area(("fine",)) > 0.99
+    """Equal distributions have an area of 0.5, with a standard error of 0.05 for 80 windows each.
+
+    The lines have the level of the noise.
+    """
+    noise, other = rng.standard_normal((2, 64_000))
+    assert abs(fold(noise, other).area(FAMILIES) - 0.5) < 0.15
+    assert fold(noise, lines(64_000) / np.sqrt(15)).area(("fine",)) > 0.99
 
 
+@pytest.mark.ci
 def test_materials_are_identified_by_their_own_recordings_only(rng: Generator) -> None:
     """Strokes over the wrong material are identified as that, and are far away."""
     smooth = [recorded(process(rng, 6600)) for _ in range(4)]
@@ -222,15 +223,13 @@ def test_white_noise_has_the_level_of_the_recording(rng: Generator) -> None:
     assert made == pytest.approx(SKIN.third_octaves(SKIN.signal(train[0])[None]).mean(), abs=0.1)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ["rendered", "mpeg"])
 def test_textures_have_about_the_spectrum_of_the_process_that_was_recorded(
     name: str, rng: Generator
 ) -> None:
     """The texture is fitted to recordings of displacement, whose unit is not known."""
-    displacement = [
-        recorded(np.diff(np.cumsum(process(rng, 6601))) * 1e3, speed=0.02) for _ in range(3)
-    ]
-    train = [Recorded(**{**vars(r), "quantity": "displacement"}) for r in displacement]
+    train = [recorded(1e3 * process(rng, 6600), quantity="displacement") for _ in range(3)]
     strokes = ENTRANTS[name].strokes(train, 0.02, 3.0, 3, rng)
     made, real = (
         np.mean([SKIN.third_octaves(SKIN.signal(s)[None])[0] for s in side], axis=0)

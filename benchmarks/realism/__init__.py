@@ -43,12 +43,12 @@ def measure_realism() -> Iterator[Figure]:
         reason = "needs recordings: set TACTILE_DATA to a folder with biotac and textsense"
         yield not_measured("realism.recordings", reason)
         return
-    yield from _told_apart(folder)
+    yield from _discriminated(folder)
     yield from _rough(folder)
     yield from _biotac(folder)
 
 
-def _told_apart(folder: Path) -> Iterator[Figure]:
+def _discriminated(folder: Path) -> Iterator[Figure]:
     """Yield how well strokes over fabrics are told from recordings, by families of features."""
     for name, entrant in ENTRANTS.items():
         rng = np.random.default_rng(0)

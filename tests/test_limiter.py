@@ -133,8 +133,8 @@ def test_limits_hold_from_block_to_block(seed: int, step: float) -> None:
 
 
 @pytest.mark.parametrize("over", [1.0, 1e3, 1e300])
-def test_limits_hold_over_blocks_longer_than_it_takes_at_a_time(over: float) -> None:
-    """10000 samples at once; the look-ahead and the release run on where they are cut."""
+def test_limits_hold_over_long_blocks(over: float) -> None:
+    """10000 samples at once."""
     volts = np.random.default_rng(1).normal(0, 100, (10_000, 2))
     volts[3000:7000] *= over
     assert_within(limiter(channels=2)(volts), 100.0, 40.0)
@@ -142,7 +142,6 @@ def test_limits_hold_over_blocks_longer_than_it_takes_at_a_time(over: float) -> 
 
 @pytest.mark.ci
 def test_limits_hold_over_a_minute_and_a_half_at_once() -> None:
-    """The release over 700000 samples falls below what double precision can hold."""
     volts = np.random.default_rng(2).normal(0, 20, (700_000, 1))
     volts[::100_000] *= 50
     assert_within(limiter()(volts), 100.0, 40.0)
@@ -353,7 +352,7 @@ def test_a_jump_is_reached_within_the_look_ahead_and_not_smeared() -> None:
 @example(seed=0, sizes=[1])
 @example(seed=1, sizes=[0, 8, 9])
 def test_what_leaves_does_not_depend_on_how_the_stream_is_cut(seed: int, sizes: list[int]) -> None:
-    """Outputs agree within a millionth (−120 dB), where a block may take a gain for settled."""
+    """Outputs agree within rounding."""
     rng = np.random.default_rng(seed)
     volts = _walk(rng, (3000, 2), 60.0) + 40 * (rng.uniform(size=(3000, 2)) < 0.002)
     volts[rng.integers(3000, size=3), 0] = math.nan
@@ -367,10 +366,10 @@ def test_what_leaves_does_not_depend_on_how_the_stream_is_cut(seed: int, sizes: 
         return played(device, events), device
 
     (one, first), (two, second) = cut([3000]), cut(sizes)
-    np.testing.assert_allclose(two, one, atol=1e-4)
+    np.testing.assert_allclose(two, one, atol=1e-9)
     assert first.invalid_samples == second.invalid_samples == 3
-    assert first.limited_samples == pytest.approx(second.limited_samples, abs=3)
-    assert first.guarded_samples == pytest.approx(second.guarded_samples, abs=3)
+    assert first.limited_samples == second.limited_samples
+    assert first.guarded_samples == second.guarded_samples
 
 
 # Counters

@@ -19,12 +19,12 @@ cancel: what holds the limit here holds it there.
 import cmath
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from tactile.arrays import Complex, Floats
 from tactile.display.display import Display
+from tactile.machine_code import compiled
 
 LOWEST, GRID = 1e-4, 1000
 """Lowest of the frequencies among which a resonance is sought, as a part of half the sample rate,
@@ -32,10 +32,6 @@ and their number: they are 0.9 % apart."""
 ZOOMED, ZOOMS = 40, 3
 """Number of frequencies between the neighbors of the best among which it is sought again, and
 number of times that this is done."""
-SMALLEST_RADIUS = 1e-3
-"""Smallest |λ|, whose powers over a block double precision can hold."""
-PIECE = 72
-"""Largest number of samples that are computed at a time."""
 
 
 @dataclass(frozen=True)
@@ -68,23 +64,18 @@ class FreeTip:
         (S, N) array of complex
             States after each sample [V].
         """
-        swings = []
-        for k in range(0, len(drive), PIECE):
-            part = drive[k : k + PIECE]
-            total = np.cumsum(self._weights[: len(part)] * part, axis=0)
-            swings.append(self._powers[: len(part)] * (state + total))
-            state = swings[-1][-1]
-        return swings[0] if len(swings) == 1 else np.concatenate(swings)
+        return _swing(np.ascontiguousarray(drive, np.float64), state, self.pole)
 
-    @cached_property
-    def _powers(self) -> Complex:
-        """Factors of a state after 1 … `PIECE` samples, of shape (PIECE, 1)."""
-        return np.asarray(self.pole ** np.arange(1, PIECE + 1)[:, None])
 
-    @cached_property
-    def _weights(self) -> Complex:
-        """Factors (PIECE, 1) of samples whose sum, times the powers, is what they add."""
-        return np.asarray((1 - self.pole) / self._powers)
+@compiled("complex128[:, ::1](float64[:, ::1], complex128[::1], complex128)")
+def _swing(drive: Floats, state: Complex, pole: complex) -> Complex:
+    """Return the states (S, N) after each sample of a drive."""
+    swing = np.empty(drive.shape, np.complex128)
+    for n in range(len(drive)):
+        for c in range(len(state)):
+            before = swing[n - 1, c] if n else state[c]
+            swing[n, c] = pole * before + (1 - pole) * drive[n, c]
+    return swing
 
 
 def free_tip_of(display: Display, sample_rate: float) -> FreeTip | None:
@@ -178,13 +169,37 @@ def _pole(angle: float, peak: float) -> complex:
     + 1/|λ − exp(−j angle)|, and rises with |λ|.
     """
     turn = cmath.exp(1j * angle)
-    low, high = SMALLEST_RADIUS, 1.0
+    low, high = 0.0, 1.0
     for _ in range(60):
         radius = (low + high) / 2
         pole = radius * turn
         reached = abs(1 - pole) / 2 * (1 / (1 - radius) + 1 / abs(pole - turn.conjugate()))
         low, high = (radius, high) if reached < peak else (low, radius)
     return low * turn
+
+
+@compiled()
+def share_of_one(held: complex, added: complex, largest: float) -> float:
+    """Compute how much may be added to one state, for compiled code; see `largest_share`.
+
+    Parameters
+    ----------
+    held, added : complex
+        State without the addition, and the addition.
+    largest : float
+        Largest magnitude.
+
+    Returns
+    -------
+    float
+        Largest share, 0 … infinity.
+    """
+    square = added.real * added.real + added.imag * added.imag
+    if not square > 0:
+        return np.inf
+    along = held.real * added.real + held.imag * added.imag
+    room = largest * largest - held.real * held.real - held.imag * held.imag
+    return max((math.sqrt(along * along + square * max(room, 0.0)) - along) / square, 0.0)
 
 
 def largest_share(held: Complex, added: Complex, largest: float) -> float:
@@ -202,9 +217,13 @@ def largest_share(held: Complex, added: Complex, largest: float) -> float:
     float
         Largest s ≥ 0 with |held + s added| ≤ largest everywhere; infinite if nothing is added.
     """
-    square = added.real**2 + added.imag**2
-    along = held.real * added.real + held.imag * added.imag
-    room = np.maximum(largest**2 - held.real**2 - held.imag**2, 0.0)
-    some = square > 0
-    share = (np.sqrt(along**2 + square * room) - along)[some] / square[some]
-    return max(float(np.min(share, initial=np.inf)), 0.0)
+    return _largest_share(np.ravel(held), np.ravel(added), largest)
+
+
+@compiled("float64(complex128[::1], complex128[::1], float64)")
+def _largest_share(held: Complex, added: Complex, largest: float) -> float:
+    """Return the least of the shares of one state each."""
+    least = np.inf
+    for k in range(len(held)):
+        least = min(least, share_of_one(held[k], added[k], largest))
+    return least

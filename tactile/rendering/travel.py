@@ -23,17 +23,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from tactile.arrays import Complex, Floats, Singles
-from tactile.rendering.free_tip import PIECE, FreeTip, largest_share
+from tactile.arrays import Complex, Floats
+from tactile.machine_code import compiled
+from tactile.rendering.free_tip import FreeTip, share_of_one
 
-APART, NEARLY = 4, 0.999
-"""Distance of the states at which a quiet drive is looked at, and part of the limit that they and
-what may lie between them come up to."""
 SETTLED = 1e-6
-"""Reduction of the gain that is taken for none."""
+"""Reduction of a gain that is taken for none."""
+AT_ONCE = 4
+"""Number of samples of a contactor that are computed before those of the next."""
 ROUNDING = 5e-10
 """Relative distance that is kept from the largest travel; less than that of the limiter from its
 limits, so that the highest voltage can be held where it gives the largest travel."""
@@ -55,6 +54,25 @@ class Bounded(NamedTuple):
     drive: Floats
     gain: Floats
     guarded: int
+
+
+class WayOut(NamedTuple):
+    """Way out from a sample, for compiled code.
+
+    Attributes
+    ----------
+    largest : float
+        Largest magnitude of a state [V].
+    beside : float
+        Largest of the states per volt that the way out alone adds.
+    turns, out : (K,) array of complex
+        Factors of the state before the sample, and states per volt of it, after each sample.
+    """
+
+    largest: float
+    beside: float
+    turns: Complex
+    out: Complex
 
 
 class TravelStage:
@@ -84,27 +102,25 @@ class TravelStage:
         ahead: int,
         channels: int,
     ) -> None:
-        self._tip, self._largest = tip, tip.largest * (1 - ROUNDING)
-        self._step, self._recovery, self._ahead = step, recovery, ahead
-        self._state = np.zeros(channels, np.complex128)
-        self._watched = np.zeros(channels, np.bool_)
-        self._bounded_here: Floats | None = None
-        """1 for contactors that are bounded here, 0 for others; None if all are."""
+        self._pole, self._largest = tip.pole, tip.largest * (1 - ROUNDING)
+        self._voltage, self._step = voltage, step
+        self._recovery, self._ahead = recovery, ahead
+        self._state = np.zeros((2, channels))
+        """States of the tips as rows of real and imaginary parts."""
+        self._bounded_here = np.ones(channels)
+        """1 for contactors that are bounded here, 0 for others."""
         self._reduction = 0.0
-        self._maps: dict[int, tuple[Singles, Floats]] = {}
-        self._ends: dict[int, tuple[Floats, complex]] = {}
         self._fall = max(1 - step / voltage, 0.0)
         """Factor of the drive from sample to sample on the way out."""
         pole, count = tip.pole, self._way_out(voltage)
-        self._turns = pole ** np.append(np.arange(1, count + 1), ahead + 1)[:, None]
-        """Factors of the state after each sample of the way out and after the look-ahead."""
+        self._turns = np.asarray(pole ** np.arange(1, count + 1))
+        """Factors of the state after each sample of the way out."""
         alone = (1 - pole) * pole ** np.arange(count)
-        added = np.convolve(alone, self._fall ** np.arange(count))[:count]
-        self._out = added[:, None]
+        self._out = np.convolve(alone, self._fall ** np.arange(count))[:count]
         """States per volt of the next sample, after it and those of the way out from there."""
-        self._beside = float(np.abs(added - alone).max())
+        self._beside = float(np.abs(self._out - alone).max())
         """Largest of the states that the way out alone adds."""
-        self._weights = (1 - pole) * pole ** np.arange(ahead, -1, -1)
+        self._weights = np.asarray((1 - pole) * pole ** np.arange(ahead, -1, -1))
         """State after the look-ahead per volt of each of its samples."""
 
     def _way_out(self, voltage: float) -> int:
@@ -113,8 +129,8 @@ class TravelStage:
         Then damping takes more from a state at the limit than the drive, which falls from the
         highest voltage, can add.
         """
-        pole = self._tip.pole
-        spare = (1 - abs(pole)) * self._largest / (abs(1 - pole) * voltage)
+        damping = (1 - abs(self._pole)) / abs(1 - self._pole)
+        spare = damping * self._largest / voltage
         if self._fall == 0 or spare >= 1:
             return 1
         return 1 + math.ceil(math.log(spare) / math.log(self._fall))
@@ -129,86 +145,30 @@ class TravelStage:
         last : (N,) array of float
             Sample before [V].
         """
-        if np.array_equal(watched, self._watched):
-            return
-        back = self._watched & ~watched
-        self._state = np.where(watched, 0, np.where(back, last, self._state))
-        self._watched = watched.copy()
-        self._bounded_here = (~watched).astype(np.float64) if watched.any() else None
+        back = (self._bounded_here == 0) & ~watched
+        self._state[:, watched | back] = 0.0
+        self._state[0, back] = last[back]
+        self._bounded_here = (~watched).astype(np.float64)
 
-    def _of_free(self, values: Floats) -> Floats:
-        """Return values (..., N) of the contactors that are bounded here, and 0 for others."""
-        return values if self._bounded_here is None else values * self._bounded_here
-
-    def passes(self, line: Floats, highest: float) -> bool:
-        """Follow a drive that keeps all other limits, if nothing in it comes near this one.
+    def passes(self, line: Floats, last: Floats) -> bool:
+        """Follow a drive that keeps voltage and step, if no tip comes near its limit.
 
         Parameters
         ----------
         line : (S + ahead, N) array of float
-            Drive, the look-ahead of the last sample included [V].
-        highest : float
-            Magnitude that no sample of it exceeds [V].
+            Drive, the look-ahead of the last sample included; may hold any values [V].
+        last : (N,) array of float
+            Sample before [V].
 
         Returns
         -------
         bool
             Whether it may be put out as it is; if not, nothing has changed.
         """
-        if self._reduction:
-            return False
-        if self._bounded_here is not None:
-            if not self._bounded_here.any():
-                return True
-            line = line * self._bounded_here
-        if self._is_far(line, highest):
-            self._state = self._turn(line[: len(line) - self._ahead])
-            return True
-        swing = self._tip.swing(line, self._state)
-        if _largest(swing) > self._largest - self._beside * highest:
-            return False
-        self._state = swing[-self._ahead - 1].copy()
-        return True
-
-    def _is_far(self, line: Floats, highest: float) -> bool:
-        """Return whether a look at every fourth state shows that all are far from the limit.
-
-        Between two of them a state grows by at most three samples. Single precision is exact enough
-        for `NEARLY`.
-        """
-        between = (APART - 1) * abs(1 - self._tip.pole) + self._beside
-        most = NEARLY * self._largest - between * highest
-        if len(line) > PIECE or not most > _largest(self._state):
-            return False
-        matrix, turns = self._looks(len(line))
-        held = turns @ np.stack([self._state.real, self._state.imag])
-        swing = matrix @ line.astype(np.float32) + held.astype(np.float32)
-        square = swing * swing
-        half = len(square) // 2
-        return float(np.maximum.reduce(square[:half] + square[half:], axis=None)) <= most**2
-
-    def _looks(self, count: int) -> tuple[Singles, Floats]:
-        """Return what samples (count,) and the state add to real and imaginary parts of states."""
-        if count not in self._maps:
-            at = np.append(np.arange(APART - 1, count - 1, APART), count - 1)
-            later = at[:, None] - np.arange(count)
-            added = np.where(later >= 0, (1 - self._tip.pole) * self._tip.pole ** abs(later), 0)
-            turn = self._tip.pole ** (at + 1)
-            self._maps[count] = (
-                np.concatenate([added.real, added.imag]).astype(np.float32),
-                np.block([[turn.real[:, None], -turn.imag[:, None]],
-                          [turn.imag[:, None], turn.real[:, None]]]),
-            )  # fmt: skip
-        return self._maps[count]
-
-    def _turn(self, drive: Floats) -> Complex:
-        """Return the state after a drive (S, N)."""
-        count = len(drive)
-        if count not in self._ends:
-            added = (1 - self._tip.pole) * self._tip.pole ** np.arange(count - 1, -1, -1)
-            self._ends[count] = np.stack([added.real, added.imag]), self._tip.pole**count
-        (real, imaginary), turn = self._ends[count]
-        return np.asarray(turn * self._state + real @ drive + 1j * (imaginary @ drive))
+        return not self._reduction and _passes(
+            line, last, self._state, self._bounded_here, self._ahead, self._pole,
+            self._voltage, self._step, self._largest, self._beside,
+        )  # fmt: skip
 
     def __call__(self, line: Floats, gain: Floats, last: Floats) -> Bounded:
         """Compute the drive that may be put out.
@@ -227,85 +187,177 @@ class TravelStage:
         Bounded
             Drive within the limits, with its gain.
         """
-        drive = line[: len(gain)] * gain[:, None]
-        calm = gain.min() == 1 and self._steps(drive, last).max() <= self._step
-        if calm and self.passes(line, _largest(line)):
-            return Bounded(drive, gain, 0)
-        ahead = self._following(line) * gain[:, None]
-        return self._recovering(drive, ahead, gain, last) or self._bounded(drive, ahead, gain, last)
-
-    @staticmethod
-    def _steps(drive: Floats, last: Floats) -> Floats:
-        """Return the largest step (S,) to each sample."""
-        return np.asarray(np.abs(np.diff(drive, axis=0, prepend=last[None])).max(axis=1))
-
-    def _following(self, line: Floats) -> Complex:
-        """Return what each sample (S, N) and those of its look-ahead add to the state."""
-        window = sliding_window_view(self._of_free(line), self._ahead + 1, axis=0)
-        return np.asarray((window @ self._weights.real) + 1j * (window @ self._weights.imag))
-
-    def _recovering(
-        self, drive: Floats, ahead: Complex, gain: Floats, last: Floats
-    ) -> Bounded | None:
-        """Return the drive if the gain can recover in all of it without a limit; else None."""
-        reduction = self._reduction * self._recovery ** np.arange(1, len(drive) + 1)
-        share = 1 - np.where(reduction < SETTLED, 0.0, reduction)[:, None]
-        drive, ahead = drive * share, ahead * share
-        if self._steps(drive, last).max() > self._step:
-            return None
-        swing = self._tip.swing(self._of_free(drive), self._state)
-        before = np.concatenate([self._state[None], swing[:-1]])
-        most = self._largest - self._beside * _largest(drive)
-        if _largest(swing) > most:
-            return None
-        if _largest(self._turns[-1] * before + ahead) > self._largest:
-            return None
-        self._state, self._reduction = swing[-1].copy(), 1 - float(share[-1, 0])
-        return Bounded(drive, gain * share[:, 0], 0)
-
-    def _bounded(self, drive: Floats, ahead: Complex, gain: Floats, last: Floats) -> Bounded:
-        """Return the drive with the gain that the limit requires, sample by sample."""
-        gain, guarded = gain.copy(), 0
-        added = np.concatenate([self._out * self._of_free(drive)[:, None], ahead[:, None]], axis=1)
-        for n, sample in enumerate(drive):
-            held = self._turns * self._state
-            share = self._share(held, added[n])
-            gain[n] *= share
-            sample *= share
-            move = sample - last
-            largest = _largest(move)
-            if largest > self._step:
-                sample[:] = self._toward(held[:-1], last, last + move * (self._step / largest))
-                guarded += 1
-            self._state = held[0] + self._out[0] * self._of_free(sample)
-            last = sample
+        gain, drive = gain.copy(), np.empty((len(gain), len(last)))
+        self._reduction, guarded = _bound(
+            line, last, gain, drive, self._state, self._bounded_here, self._reduction,
+            self._recovery, self._step, self._largest, self._fall, self._beside,
+            self._turns, self._out, self._weights,
+        )  # fmt: skip
         return Bounded(drive, gain, guarded)
 
-    def _share(self, held: Complex, added: Complex) -> float:
-        """Return the gain of a sample, with states (K, N) without it and what it adds to them."""
-        self._reduction *= self._recovery
-        if self._reduction < SETTLED:
-            self._reduction = 0.0
-        size = np.abs(held + (1 - self._reduction) * added)
-        if np.maximum.reduce(size, axis=None) > self._largest:
-            over = size > self._largest
-            share = largest_share(held[over], added[over], self._largest)
-            self._reduction = max(self._reduction, 1 - share)
-        return 1 - self._reduction
 
-    def _toward(self, held: Complex, last: Floats, target: Floats) -> Floats:
-        """Return the sample after another one, as near to a target as the travel allows.
-
-        The target is within the step, and so is the first sample of the way out.
-        """
-        out = self._fall * last
-        if _largest(held + self._out * self._of_free(target)) <= self._largest:
-            return target
-        there, more = self._out * self._of_free(out), self._out * self._of_free(target - out)
-        share = largest_share(held + there, more, self._largest)
-        return np.asarray(out + min(share, 1.0) * (target - out))
+@compiled()
+def _swung(x: float, y: float, volts: float, pole: complex) -> tuple[float, float]:
+    """Return real and imaginary part of a state after a sample."""
+    a, b = pole.real, pole.imag
+    return a * x - b * y + (1 - a) * volts, b * x + a * y - b * volts
 
 
-def _largest(values: Floats | Complex) -> float:
-    """Return the largest magnitude, without the detour of `max`, which takes longer than that."""
-    return float(np.maximum.reduce(np.abs(values), axis=None))
+@compiled()
+def _see_some(
+    line: Floats, first: int, count: int, last: Floats, seen: Floats, bounded: Floats,
+    pole: complex, voltage: float, step: float,
+) -> None:  # fmt: skip
+    """See some samples, in a loop over contactors that stays in registers."""
+    for c in range(np.uint64(len(last))):
+        x, y, beyond, farthest, highest = seen[0, c], seen[1, c], seen[2, c], seen[3, c], seen[4, c]
+        before = last[c]
+        for n in range(np.uint64(first), np.uint64(first + count)):
+            volts = line[n, c]
+            within = abs(volts) <= voltage and abs(volts - before) <= step
+            beyond += 0.0 if within else 1.0
+            before, volts = volts, volts * bounded[c]
+            x, y = _swung(x, y, volts, pole)
+            square, size = x * x + y * y, abs(volts)
+            farthest = square if square > farthest else farthest
+            highest = size if size > highest else highest
+        seen[0, c], seen[1, c], seen[2, c], seen[3, c], seen[4, c] = x, y, beyond, farthest, highest
+
+
+@compiled()
+def _see(
+    line: Floats, last: Floats, seen: Floats, bounded: Floats,
+    pole: complex, voltage: float, step: float,
+) -> None:  # fmt: skip
+    """Follow the states and note what was seen on the way, most samples `AT_ONCE`.
+
+    ``seen`` are rows: real and imaginary parts, number of samples beyond voltage or step, largest
+    square of a state and largest magnitude of a sample.
+    """
+    whole = len(line) // AT_ONCE * AT_ONCE
+    for n in range(0, whole, AT_ONCE):
+        _see_some(line, n, AT_ONCE, last, seen, bounded, pole, voltage, step)
+        last = line[n + AT_ONCE - 1]
+    for n in range(whole, len(line)):
+        _see_some(line, n, 1, last, seen, bounded, pole, voltage, step)
+        last = line[n]
+
+
+@compiled(
+    "boolean(float64[:, ::1], float64[::1], float64[:, ::1], float64[::1], int64, complex128,"
+    " float64, float64, float64, float64)"
+)
+def _passes(
+    line: Floats, last: Floats, state: Floats, bounded: Floats, ahead: int, pole: complex,
+    voltage: float, step: float, largest: float, beside: float,
+) -> bool:  # fmt: skip
+    """Return whether a drive passes; if so, the states become those before its look-ahead."""
+    seen = np.zeros((5, len(last)))
+    seen[:2] = state
+    count = len(line) - ahead
+    _see(line[:count], last, seen, bounded, pole, voltage, step)
+    after = seen[:2].copy()
+    _see(line[count:], line[count - 1] if count else last, seen, bounded, pole, voltage, step)
+    near = np.sqrt(seen[3]) + beside * seen[4]
+    passes = seen[2].sum() == 0 and near.max() <= largest
+    if passes:
+        state[:] = after
+    return bool(passes)
+
+
+@compiled()
+def _held(state: Floats, c: int) -> complex:
+    """Return the state of a contactor."""
+    return complex(state[0, c], state[1, c])
+
+
+@compiled()
+def _size(state: complex) -> float:
+    """Return a magnitude, without the care of `abs` for numbers whose square is infinite."""
+    return math.sqrt(state.real * state.real + state.imag * state.imag)
+
+
+@compiled()
+def _part(held: complex, added: complex, keep: float, largest: float) -> float:
+    """Return how much may be added to a state; infinite if the part ``keep`` of it may."""
+    if _size(held + keep * added) <= largest:
+        return np.inf
+    return share_of_one(held, added, largest)
+
+
+@compiled()
+def _part_out(held: complex, first: float, more: float, keep: float, way: WayOut) -> float:
+    """Return how much may be added to a sample without a state beyond the limit on the way out.
+
+    Infinite if the part ``keep`` of it may.
+    """
+    turns, out, largest = way.turns, way.out, way.largest
+    volts = first + keep * more
+    if _size(turns[0] * held + out[0] * volts) + way.beside * abs(volts) <= largest:
+        return np.inf
+    part = np.inf
+    for k in range(len(out)):
+        part = min(part, _part(turns[k] * held + out[k] * first, out[k] * more, keep, largest))
+    return part
+
+
+@compiled()
+def _share(
+    line: Floats, gain: float, keep: float, state: Floats, bounded: Floats,
+    weights: Complex, way: WayOut,
+) -> float:  # fmt: skip
+    """Return how much of a sample may be put out; infinite if the part ``keep`` of it may."""
+    share, turn = np.inf, way.turns[0] ** len(weights)
+    for c in range(line.shape[1]):
+        held, free, ahead = _held(state, c), gain * bounded[c], 0j
+        for k in range(len(weights)):
+            ahead += weights[k] * line[k, c]
+        share = min(share, _part(turn * held, free * ahead, keep, way.largest))
+        share = min(share, _part_out(held, 0.0, free * line[0, c], keep, way))
+    return share
+
+
+@compiled()
+def _toward(target: Floats, start: Floats, state: Floats, bounded: Floats, way: WayOut) -> Floats:
+    """Return the sample as near to a target as the travel allows.
+
+    The target is within the step, and so is the start, with which the last way out goes on.
+    """
+    share = 1.0
+    for c in range(len(target)):
+        first, more = bounded[c] * start[c], bounded[c] * (target[c] - start[c])
+        share = min(share, _part_out(_held(state, c), first, more, 1.0, way))
+    return start + share * (target - start)
+
+
+@compiled(
+    "Tuple((float64, int64))"
+    "(float64[:, ::1], float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1],"
+    " float64, float64, float64, float64, float64, float64,"
+    " complex128[::1], complex128[::1], complex128[::1])"
+)
+def _bound(
+    line: Floats, last: Floats, gain: Floats, drive: Floats, state: Floats, bounded: Floats,
+    reduction: float, recovery: float, step: float, largest: float, fall: float, beside: float,
+    turns: Complex, out: Complex, weights: Complex,
+) -> tuple[float, int]:  # fmt: skip
+    """Fill in the drive, lower the gain, follow the states; return reduction and guarded count."""
+    guarded, way = 0, WayOut(largest, beside, turns, out)
+    for n in range(len(gain)):
+        reduction = recovery * reduction if recovery * reduction >= SETTLED else 0.0
+        seen = line[n : n + len(weights)]
+        share = _share(seen, gain[n], 1 - reduction, state, bounded, weights, way)
+        reduction = max(reduction, 1 - share)
+        gain[n] *= 1 - reduction
+        drive[n] = gain[n] * line[n]
+        move = drive[n] - last
+        farthest = np.abs(move).max()
+        if farthest > step:
+            target = last + move * (step / farthest)
+            drive[n] = _toward(target, fall * last, state, bounded, way)
+            guarded += 1
+        for c in range(len(last)):
+            x, y = _swung(state[0, c], state[1, c], bounded[c] * drive[n, c], turns[0])
+            state[0, c], state[1, c] = x, y
+        last = drive[n]
+    return reduction, guarded

@@ -502,7 +502,7 @@ class Definition:
         share = self.share(0 * seen[0], gain * seen[0], 1 - reduction, gain * seen)
         self.reduction = max(reduction, 1 - share)
         gain *= 1 - self.reduction
-        self.limited += gain < 1 - 1e-6
+        self.limited += int(gain < 1 - 1e-6)
         sample, farthest = gain * seen[0], np.abs(gain * seen[0] - self.last).max()
         if farthest > self.step:
             sample = self.last + (sample - self.last) * self.step / farthest
@@ -511,8 +511,8 @@ class Definition:
             sample = start + min(1.0, share) * (sample - start)
             self.guarded += 1
         self.state = self.tip.pole * self.state + (1 - self.tip.pole) * sample
-        self.last = sample
-        return sample
+        self.last = np.asarray(sample)
+        return self.last
 
 
 @pytest.mark.parametrize("step", [10.0, 40.0, 87.5, 300.0])

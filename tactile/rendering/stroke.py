@@ -4,12 +4,13 @@ Velocity is that of a parabola through each sample and those 4 and 8 before it, 
 sample is needed. Invalid input is repaired: the last valid position is held, without force.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tactile.arrays import Floats
+from tactile.machine_code import compiled
 
 NODE = 8
 """Samples between nodes of the roll-off, and span of the parabola that gives a sample's
@@ -22,8 +23,7 @@ FARTHEST = 1e3
 """Magnitude from which on a sample is taken as invalid [m] and [N]."""
 
 
-@dataclass(frozen=True)
-class Stroke:
+class Stroke(NamedTuple):
     """Consecutive samples of a finger's motion.
 
     Attributes
@@ -65,7 +65,6 @@ class Motion:
 
     def __init__(self, sample_rate: float) -> None:
         self._sample_rate = sample_rate
-        self._slopes: dict[tuple[int, bool], Floats] = {}
         self._past, self._pending = np.zeros((6, HISTORY)), np.zeros((6, 0))
         self._count = self.invalid_samples = 0
 
@@ -84,10 +83,10 @@ class Motion:
         (6, S) array of float
             Rows x and y [m], 1, force [N], and two rows for the velocity.
         """
-        rows = np.zeros((6, len(np.asarray(position))))
-        rows[:2], rows[2], rows[3] = np.transpose(position), 1.0, normal_force
-        if not np.abs(rows).max(initial=0.0) < FARTHEST:
-            rows = self._repaired(rows)
+        place = np.asarray(position)
+        rows = np.zeros((6, len(place)))
+        rows[:2], rows[2], rows[3] = place.T, 1.0, normal_force
+        self.invalid_samples += _repair(rows, self._past.item(0, -1), self._past.item(1, -1))
         return rows
 
     def __call__(self, rows: Floats) -> Stroke | None:
@@ -104,35 +103,37 @@ class Motion:
         past = self._past if begun else np.zeros((6, HISTORY))
         line = np.concatenate([past, rows], axis=1)
         self._past = line[:, -HISTORY:]
-        line[4:, HISTORY:] = line[:2] @ self._slope(rows.shape[1], begun)
-        squares = line[4:] * line[4:]
-        return Stroke(
-            line[:3, HISTORY:], line[4:], squares[0] + squares[1], rows[3],
-            self._count - rows.shape[1],
-        )  # fmt: skip
+        squares = _differentiate(line, self._sample_rate, begun)
+        return Stroke(line[:3, HISTORY:], line[4:], squares, rows[3], self._count - rows.shape[1])
 
-    def _slope(self, count: int, begun: bool) -> Floats:
-        """Return the matrix that turns positions (2, `HISTORY` + S) into the new velocities (2, S).
 
-        The velocity of a sample is that of a parabola through it and the samples 4 and 8 before it;
-        the first 8 samples of the stream share the parabola through samples 0, 4 and 8.
-        """
-        if (count, begun) not in self._slopes:
-            slope = np.zeros((HISTORY + count, count))
-            for k in range(count):
-                last = NODE if k < NODE and not begun else k
-                points = last - np.array([NODE, NODE // 2, 0])
-                weights = np.linalg.solve(np.vander(points - k, increasing=True).T, [0, 1, 0])
-                slope[HISTORY + points, k] = weights * self._sample_rate
-            self._slopes[count, begun] = slope
-        return self._slopes[count, begun]
+@compiled("int64(float64[:, ::1], float64, float64)")
+def _repair(rows: Floats, x: float, y: float) -> int:
+    """Hold the last valid position, and lift the finger, where a sample is invalid; count them."""
+    invalid = 0
+    for n in range(rows.shape[1]):
+        if abs(rows[0, n]) < FARTHEST and abs(rows[1, n]) < FARTHEST and abs(rows[3, n]) < FARTHEST:
+            x, y = rows[0, n], rows[1, n]
+        else:
+            rows[0, n], rows[1, n], rows[3, n] = x, y, 0.0
+            invalid += 1
+    return invalid
 
-    def _repaired(self, rows: Floats) -> Floats:
-        """Hold the last valid position, and lift the finger, where a sample is invalid."""
-        rows, last = rows.copy(), self._past[:, -1]
-        for sample in rows.T:
-            if not (np.abs(sample) < FARTHEST).all():
-                sample[:4] = last[0], last[1], 1.0, 0.0
-                self.invalid_samples += 1
-            last = sample
-        return rows
+
+@compiled("float64[::1](float64[:, ::1], float64, boolean)")
+def _differentiate(line: Floats, sample_rate: float, begun: bool) -> Floats:
+    """Fill in the velocities after the history, and return the squared speeds.
+
+    The velocity of a sample is that of a parabola through it and the samples 4 and 8 before it;
+    the first 8 samples of the stream share the parabola through samples 0, 4 and 8.
+    """
+    half = NODE // 2
+    for n in range(HISTORY, line.shape[1]):
+        last = n if begun else max(n, HISTORY + NODE)
+        later = (n - last) / half
+        for axis in range(2):
+            new, middle, old = line[axis, last], line[axis, last - half], line[axis, last - NODE]
+            slope = (later + 1.5) * (new - middle) - (later + 0.5) * (middle - old)
+            line[4 + axis, n] = slope * (sample_rate / half)
+    squares: Floats = line[4] * line[4] + line[5] * line[5]
+    return squares

@@ -428,7 +428,7 @@ def test_what_exceeds_the_travel_at_one_sample_does_not_pass(one: Display) -> No
 @pytest.mark.parametrize("at", range(20))
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, 100.5, 80.0])
 def test_no_sample_beyond_voltage_or_step_passes(one: Display, bad: float, at: int) -> None:
-    """80 V are within 100 V, but a step of more than 60 V from the samples beside them."""
+    """Steps to and from 80 V are larger than the 60 V that are allowed."""
     for contactor in range(2):
         _, stage = _stage(one, 60.0, ahead=8)
         volts = np.full((20, 2), 15.0)
@@ -440,7 +440,7 @@ def test_no_sample_beyond_voltage_or_step_passes(one: Display, bad: float, at: i
 
 @pytest.mark.parametrize("at", range(1, 20))
 def test_a_jump_on_a_slope_does_not_pass(one: Display, at: int) -> None:
-    """Between a slope of 3 V a sample and its rest are 21 V, and 20 V are allowed."""
+    """A slope of 3 V a sample passes; a step of 21 V in it does not, where 20 V are allowed."""
     _, stage = _stage(one, 20.0, ahead=8)
     slope = np.linspace(-30, 27, 20)[:, None] * np.ones(2)
     assert stage.passes(slope, slope[0])

@@ -252,17 +252,21 @@ def _passes(
     voltage: float, step: float, largest: float, beside: float,
 ) -> bool:  # fmt: skip
     """Return whether a drive passes; if so, the states become those before its look-ahead."""
-    seen = np.zeros((5, len(last)))
-    seen[:2] = state
-    count = len(line) - ahead
+    count, channels = len(line) - ahead, len(last)
+    seen, after = np.zeros((5, channels)), np.empty((2, channels))
+    for c in range(channels):
+        seen[0, c], seen[1, c] = state[0, c], state[1, c]
     _see(line[:count], last, seen, bounded, pole, voltage, step)
-    after = seen[:2].copy()
+    for c in range(channels):
+        after[0, c], after[1, c] = seen[0, c], seen[1, c]
     _see(line[count:], line[count - 1] if count else last, seen, bounded, pole, voltage, step)
-    near = np.sqrt(seen[3]) + beside * seen[4]
-    passes = seen[2].sum() == 0 and near.max() <= largest
-    if passes:
-        state[:] = after
-    return bool(passes)
+    for c in range(channels):
+        near = math.sqrt(seen[3, c]) + beside * seen[4, c]
+        if not (seen[2, c] == 0 and near <= largest):
+            return False
+    for c in range(channels):
+        state[0, c], state[1, c] = after[0, c], after[1, c]
+    return True
 
 
 @compiled()
@@ -318,16 +322,23 @@ def _share(
 
 
 @compiled()
-def _toward(target: Floats, start: Floats, state: Floats, bounded: Floats, way: WayOut) -> Floats:
-    """Return the sample as near to a target as the travel allows.
+def _step_toward(
+    drive: Floats, last: Floats, part: float, fall: float, state: Floats, bounded: Floats,
+    way: WayOut,
+) -> None:  # fmt: skip
+    """Go only a part of the way from the sample before, as near to it as the travel allows.
 
-    The target is within the step, and so is the start, with which the last way out goes on.
+    That part is within the step, and so is the first sample of the last way out, where it starts.
     """
     share = 1.0
-    for c in range(len(target)):
-        first, more = bounded[c] * start[c], bounded[c] * (target[c] - start[c])
+    for c in range(len(drive)):
+        start = fall * last[c]
+        drive[c] = last[c] + part * (drive[c] - last[c])
+        first, more = bounded[c] * start, bounded[c] * (drive[c] - start)
         share = min(share, _part_out(_held(state, c), first, more, 1.0, way))
-    return start + share * (target - start)
+    for c in range(len(drive)):
+        start = fall * last[c]
+        drive[c] = start + share * (drive[c] - start)
 
 
 @compiled(
@@ -349,12 +360,12 @@ def _bound(
         share = _share(seen, gain[n], 1 - reduction, state, bounded, weights, way)
         reduction = max(reduction, 1 - share)
         gain[n] *= 1 - reduction
-        drive[n] = gain[n] * line[n]
-        move = drive[n] - last
-        farthest = np.abs(move).max()
+        farthest = 0.0
+        for c in range(len(last)):
+            drive[n, c] = gain[n] * line[n, c]
+            farthest = max(farthest, abs(drive[n, c] - last[c]))
         if farthest > step:
-            target = last + move * (step / farthest)
-            drive[n] = _toward(target, fall * last, state, bounded, way)
+            _step_toward(drive[n], last, step / farthest, fall, state, bounded, way)
             guarded += 1
         for c in range(len(last)):
             x, y = _swung(state[0, c], state[1, c], bounded[c] * drive[n, c], turns[0])

@@ -33,7 +33,8 @@ def assert_agree(
     assert abs(decibels(measured.vibration_um_rms, predicted.vibration_um_rms)) < 1.0
     assert measured.drag_um == pytest.approx(predicted.drag_um, rel=0.02, abs=drag_um)
     assert measured.level_db_sl == pytest.approx(predicted.level_db_sl, abs=1.0)
-    assert abs(decibels(measured.peak_um, predicted.peak_um)) < 2.0
+    # the peak of bursts in a few seconds is by chance up to 4 dB below that of many strokes
+    assert -4.0 < decibels(measured.peak_um, predicted.peak_um) < 2.0
     assert measured.level_hz is not None
     assert predicted.level_hz is not None
     assert abs(math.log2(measured.level_hz / predicted.level_hz)) < 0.4, "a neighboring band"

@@ -229,7 +229,7 @@ def test_a_spectrum_that_no_isotropic_surface_has_is_given_a_direction_and_its_l
 def test_bands_reach_from_10_hz_at_the_fastest_speed_to_800_hz_at_the_slowest(
     speeds: tuple[float, ...],
 ) -> None:
-    """Bands end at 800 Hz at 20 mm/s if all are faster, and at most to 100 cycles/mm, where files end."""
+    """Bands end at 800 Hz at 20 mm/s if all are faster, at most at 100 cycles/mm, as files do."""
     slides = [slide(Surface(), v, seed=k) for k, v in enumerate(speeds)]
     center = measure_slides(slides).center
     assert np.diff(np.log10(center)) == pytest.approx(0.1)

@@ -72,9 +72,9 @@ def times_real(display: Display, texture: Texture, block: int, *, shear: bool) -
 
 
 def measure_speed() -> Iterator[Figure]:
-    """Time rendering on one core, limiter included: 384 partials at 8 kHz, drive alone.
+    """Time rendering on one core at 8 kHz, limiter included, drive alone.
 
-    The plain surface consists of waves and of the laws of speed and force only. The shipped
+    The plain surface consists of a field, a few waves and the laws of speed and force. The shipped
     textures have an envelope, and some of them sparse events or a grating; the goal is for the
     slowest of them.
 

@@ -140,6 +140,8 @@ class RealizedLayer:
             for field in realized.fields
         ]
         self._density = realized.density
+        highest = max((field.highest for field in realized.fields), default=1.0)
+        self._slow_squared = (equalizer.PASS_BAND / highest) ** 2
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
         self._axes = display.shear_axes if display.projected else None
         self._events = None
@@ -155,8 +157,9 @@ class RealizedLayer:
         modulated = self._bands if len(self._to_envelope) else split
         shear = sides[:, :modulated] @ self._to_shear[:modulated]
         if self._density is not None:
-            own = stroke.velocity[:, HISTORY:], stroke.squares[HISTORY:]
-            squares = self._density.met_squares(*own)
+            squares = stroke.squares[HISTORY:]
+            if not squares.max() <= self._slow_squared:
+                squares = self._density.met_squares(stroke.velocity[:, HISTORY:], squares)
             for field in self._fields:
                 field.add_to(shear, stroke.place, squares)
         if len(self._to_envelope):

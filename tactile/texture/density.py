@@ -27,7 +27,7 @@ LEFT = 4
 """Number of third octaves that are left to plane waves, which cost about as much as a field."""
 NARROW = 4.0
 """Ratio between the ends of a field that is worth while."""
-FEWEST = 24
+FEWEST = 12
 """Number of waves of a tile that a third octave needs; with fewer, the bands of strokes would
 differ from direction to direction."""
 

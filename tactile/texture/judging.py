@@ -16,17 +16,15 @@ from scipy.linalg import solve_toeplitz
 from tactile.arrays import Floats
 from tactile.texture import measures
 from tactile.texture.bands import third_octaves
-from tactile.texture.descriptor import About, Stochastic
+from tactile.texture.descriptor import About, Laws, Stochastic
 from tactile.texture.fitting import Fit, RecordingMeasures, describe, measure_slides
 from tactile.texture.power_laws import level_shift
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import INTEGRATIONS
-from tactile.texture.surface import Partials, envelope, stochastic_waves
+from tactile.texture.surface import PARTIALS, Partials, density_of, envelope, stochastic_waves
 
 ORDER = 8
 """Order of the autoregressive model."""
-WAVES = 384
-"""Number of plane waves of the realized surface."""
 PERIODS, STROKES = 200, 6
 """Length of a rendered stroke in periods of the lowest band, and number of strokes. They leave a
 random error of 0.3 dB in the lowest band."""
@@ -279,7 +277,7 @@ def rendered_levels(stochastic: Stochastic, center: Floats) -> Floats:
 
 
 def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, float]:
-    """Render strokes along the direction of a surface, each over another realization.
+    """Render strokes along the direction of a surface, each at another place of its fields.
 
     Parameters
     ----------
@@ -295,7 +293,11 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
     step : float
         Distance between samples [m].
     """
-    vectors, amplitude = stochastic_waves(stochastic, WAVES)
+    vectors, amplitude = stochastic_waves(stochastic, PARTIALS)
+    density = density_of(vectors, amplitude, stochastic, Laws())
+    fields = density.drawn(np.random.default_rng(0))
+    lowest = density.ranges[-1][0] if fields else np.inf
+    rest = np.linalg.norm(vectors, axis=1) < 2 * np.pi * lowest
     step = 1 / (2.56 * third_octaves(center)[-1])
     turn = np.radians(stochastic.direction_deg)
     ahead = step * np.array([np.cos(turn), np.sin(turn)])
@@ -303,10 +305,13 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
 
     def stroke(seed: int) -> Floats:
         rng = np.random.default_rng(seed)
-        waves = Partials(vectors, amplitude, rng.uniform(0, 2 * np.pi, len(amplitude)))
+        phase = rng.uniform(0, 2 * np.pi, np.count_nonzero(rest))
+        met = Partials(vectors[rest], amplitude[rest], phase).along(ahead, count)
+        place = rng.uniform(-1, 1, 2) + np.outer(np.arange(count), ahead)
+        for field in fields:
+            met += field.at(place)
         slow = envelope(stochastic, rng)
-        swell = np.exp(slow.along(ahead, count) - np.sum(slow.amplitude**2) / 2)
-        return np.asarray(waves.along(ahead, count) * swell)
+        return met * np.exp(slow.along(ahead, count) - np.sum(slow.amplitude**2) / 2)
 
     return np.stack([stroke(seed) for seed in range(STROKES)]), float(step)
 

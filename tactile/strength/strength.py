@@ -821,7 +821,7 @@ def automatic_gain(
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> largest = tactile.automatic_gain(display, texture)
     >>> largest.limit, round(largest.value, 1)
-    ('voltage', 3.7)
+    ('voltage', 3.8)
     >>> round(tactile.automatic_gain(display, texture, level=20.0).value, 1)
     1.1
     """

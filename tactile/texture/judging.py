@@ -25,9 +25,9 @@ from tactile.texture.surface import PARTIALS, Partials, density_of, envelope, st
 
 ORDER = 8
 """Order of the autoregressive model."""
-PERIODS, STROKES = 200, 6
+PERIODS, STROKES = 200, 24
 """Length of a rendered stroke in periods of the lowest band, and number of strokes. They leave a
-random error of 0.3 dB in the lowest band."""
+random error of 0.15 dB in the lowest band."""
 POINTS = 1 << 14
 """Length of the Fourier transform for the spectrum of the autoregressive model."""
 

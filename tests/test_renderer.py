@@ -38,7 +38,7 @@ FIRST = (
     "wood-oak",
 )
 """Textures played under both fingers; all others under one, by turns, in the longer run."""
-STRONG = {"rubber-crumb": 35, "textile-towel": 17}
+STRONG = {"abrasive-p80": 18, "rubber-crumb": 35, "textile-towel": 17}
 """Textures whose bursts want more than 100 V under the heavily loading finger, and what is kept of
 them [dB]; `python -m benchmarks library` names what any texture loses."""
 EACH = [(name, finger) for name in FIRST for finger in ("low", "high")] + [

@@ -138,10 +138,9 @@ def stroke_levels(surface: Surface, turn: float, length: float = 1.0) -> Floats:
     assert surface.density is not None
     edges = surface.density.edges
     step = 0.25 / edges[-1]
-    ahead, count = step * np.array([np.cos(turn), np.sin(turn)]), round(length / step)
-    met = surface.beside_fields.split[0].along(ahead, count)
-    for field in surface.fields:
-        met += field.at(np.outer(np.arange(count), ahead))
+    count = round(length / step)
+    way = np.outer(step * np.arange(count), [np.cos(turn), np.sin(turn)])
+    met = surface.random_part(way)
     window = np.hanning(count)
     power = 2 * np.abs(np.fft.rfft(met * window)) ** 2 * step / np.sum(window**2)
     total = np.histogram(np.fft.rfftfreq(count, step), edges, weights=power)[0] / (count * step)

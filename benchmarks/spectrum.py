@@ -13,6 +13,7 @@ sides play the same partials and are evaluated alike, chance is the same on both
 contribute to a difference.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -31,7 +32,7 @@ from tactile.rendering.renderer import Renderer, render
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.strength.commanded import law_factor
 from tactile.strength.strength import amplified
-from tactile.texture.surface import Texture, load_texture, without_friction
+from tactile.texture.surface import Partials, Texture, load_texture, without_friction
 
 SECONDS = 6.0
 """Duration of a stroke [s]."""
@@ -139,13 +140,43 @@ def wave_shear(texture: Texture, contactors: Floats, speed: float, count: int) -
     mean = np.sum(surface.envelope.amplitude**2) / 2
 
     def under(place: Floats) -> Floats:
-        parts = (replace(p, phase=p.phase + p.wave_vector @ place).along(step, count)
-                 for p in (bands, surface.envelope, gratings))  # fmt: skip
-        random, exponent, ribs = parts
+        random, exponent, ribs = (
+            along(replace(p, phase=p.phase + p.wave_vector @ place), step, count)
+            for p in (bands, surface.envelope, gratings)
+        )
         return random * np.exp(exponent - mean) + ribs
 
     shear = np.stack([under(place) for place in contactors], axis=1)
     return law_factor(texture, speed, FORCE) * shear
+
+
+def along(waves: Partials, step: Floats, count: int) -> Floats:
+    """Compute the displacement at evenly spaced places on a straight line from the origin.
+
+    The result is that of `Partials.at`, in much less time: a wave turns by the same angle with each
+    step, so that its phasor at step i J + j is the product of that at step i J and that of step j.
+
+    Parameters
+    ----------
+    waves : Partials
+        Waves to add up.
+    step : (2,) array of float
+        Vector from each place to the next [m].
+    count : int
+        Number of places.
+
+    Returns
+    -------
+    (count,) array of float
+        Sum of the waves [m].
+    """
+    turn = waves.wave_vector @ step
+    size = math.isqrt(count) + 1
+    coarse = waves.phase + turn * size * np.arange(-(count // -size))[:, None]
+    fine = turn * np.arange(size)[:, None]
+    real = (waves.amplitude * np.cos(coarse)) @ np.cos(fine).T
+    imaginary = (waves.amplitude * np.sin(coarse)) @ np.sin(fine).T
+    return np.asarray((real - imaginary).ravel()[:count])
 
 
 def in_bands(drive: Floats) -> tuple[Floats, Floats]:

@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pytest
 from scipy.signal import welch
-from texture_rig import random_part
 
 from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import PASS_BAND
@@ -139,7 +138,7 @@ def test_the_spectrum_within_third_octaves_is_that_of_noise(name: str) -> None:
     step = 0.25 / edges[-1]
     way = np.outer(np.arange(round(0.1 / step)) * step, [1.0, 0.0])
     places = scatter(20)
-    noise = [random_part(surface, way + place) for place in places]
+    noise = [surface.random_part(way + place) for place in places]
     assert deviation(noise, step, edges) == pytest.approx(5.57, abs=0.3)
     lines = [surface.partials.at(way + place) for place in places[:4]]
     assert deviation(lines, step, edges) > 7
@@ -165,7 +164,7 @@ def test_a_stroke_over_a_field_has_the_bands_of_its_descriptor(name: str) -> Non
     error = []
     for turn in np.atleast_1d(turns):
         ahead = step * np.array([np.cos(turn), np.sin(turn)])
-        met = random_part(surface, np.outer(np.arange(count), ahead))
+        met = surface.random_part(np.outer(np.arange(count), ahead))
         frequency, density = welch(met, 1 / step, nperseg=1 << 14)
         band = np.digitize(frequency, edges) - 1
         level = [10 * np.log10(density[band == k].mean() * 1e15) for k in range(len(edges) - 1)]

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace as changed
-from texture_rig import random_part
 
 from benchmarks import library
 from tactile.display.display import load_display
@@ -86,7 +85,7 @@ def test_a_cut_is_bands_under_their_envelope_and_a_grating_as_it_is() -> None:
     for (x, y), row in zip(offsets, shear, strict=True):
         place = way[:, None] * along + x * along + y * beside
         exponent = surface.envelope.at(place) - np.sum(surface.envelope.amplitude**2) / 2
-        wanted = random_part(surface, place) * np.exp(exponent) + surface.split[1].at(place)
+        wanted = surface.random_part(place) * np.exp(exponent) + surface.split[1].at(place)
         assert np.std(row - wanted) < 1e-3 * np.std(wanted)
 
 

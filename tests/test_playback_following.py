@@ -337,7 +337,8 @@ def test_a_guard_turns_a_contactor_down_until_the_free_bender_plays(
             stage.play(0.4, slides=True)
             counters = stage.memory.report().counters
         trips = counters["guarded_contactors"]
-        # a guard may let go too early in a quiet part of the texture, and trips once more then
+        # a guard may let go too early in a quiet part of the texture, and trips once more then: it
+        # does on 7 of the first 24 surfaces, and did on 10 of those of waves
         assert 2 <= trips <= 4 if guarded else trips == 0
         assert counters["lifted_contactors"] == counters["touched_contactors"] == max(trips, 2)
         assert counters["unexplained_loads"] == 0

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace as changed
 
-from benchmarks.spectrum import sampled
+from benchmarks.spectrum import along, sampled
 from tactile.actuator.finger import FingerLoad, FingerTable
 from tactile.actuator.response import tip_response
 from tactile.arrays import Complex, Floats
@@ -212,6 +212,14 @@ def test_a_reversal_changes_the_drive_as_little_as_the_velocity() -> None:
         r = SpectrumRenderer(display, texture, carriers=16, frame_rate=50.0)
         lines.append(r.frame(place, (speed, 0.0), 0.5).real.sum(axis=1))
     assert np.abs(lines[1] - lines[0]).max() < 1e-3 * np.abs(lines[0]).max()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 99, 100, 101, 5000])
+def test_along_a_line_it_is_the_same_as_at_each_of_its_places(count: int) -> None:
+    waves = load_texture("wood-oak").partials
+    step = np.array([13e-6, -21e-6])
+    places = np.arange(count)[:, None] * step
+    np.testing.assert_allclose(along(waves, step, count), waves.at(places), rtol=0, atol=1e-16)
 
 
 @pytest.mark.parametrize(("speed", "least"), [(0.04, 18.0), (0.1, 14.0)])

@@ -154,14 +154,6 @@ def test_partials_are_the_displacement_that_they_say() -> None:
     assert waves.at(place) == pytest.approx(total, abs=1e-17)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 99, 100, 101, 5000])
-def test_along_a_line_it_is_the_same_as_at_each_of_its_places(count: int) -> None:
-    waves = load_texture("wood-oak").partials
-    step = np.array([13e-6, -21e-6])
-    places = np.arange(count)[:, None] * step
-    np.testing.assert_allclose(waves.along(step, count), waves.at(places), rtol=0, atol=1e-16)
-
-
 def nearest_isotropic(levels: Floats) -> Floats:
     """Return what the nearest isotropic spectrum has above the levels [dB].
 

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage, imread
-from texture_rig import random_part
 
 from tactile.arrays import Floats
 from tactile.display.display import load_display
@@ -84,7 +83,7 @@ def test_the_surface_is_the_random_part_times_its_envelope_and_the_gratings() ->
     y, x = np.meshgrid(*[(np.arange(31) - 15) * 4e-3 / 31] * 2, indexing="ij")
     place = np.stack([x, y], axis=-1)
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    expected = random_part(surface, place) * np.exp(surface.envelope.at(place) - spread)
+    expected = surface.random_part(place) * np.exp(surface.envelope.at(place) - spread)
     expected += surface.split[1].at(place)
     np.testing.assert_allclose(patch, expected, atol=1e-4 * np.abs(expected).max())
 
@@ -97,7 +96,7 @@ def test_sparse_events_are_on_the_surface() -> None:
     y, x = np.meshgrid(place, place, indexing="ij")
     at = np.stack([x, y], axis=-1)
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    waves = random_part(surface, at) * np.exp(surface.envelope.at(at) - spread)
+    waves = surface.random_part(at) * np.exp(surface.envelope.at(at) - spread)
     sigma = 0.25e-3 / np.sqrt(8 * np.log(2))
     expected = np.zeros_like(x)
     for (px, py), peak in zip(surface.event_place, surface.event_peak, strict=True):
@@ -114,7 +113,7 @@ def test_third_octaves_are_those_of_a_long_stroke() -> None:
     line = np.outer(np.arange(samples) * step, [1.0, 0.0])
     window, power = np.hanning(samples), np.zeros(samples // 2 + 1)
     for seed in range(8):
-        met = random_part(texture.realize(seed), line)
+        met = texture.realize(seed).random_part(line)
         power += np.abs(np.fft.rfft(met * window)) ** 2 / (4 * samples * np.sum(window**2))
     frequency = np.fft.rfftfreq(samples, step) * 0.04
     s = views.texture_spectrum(texture, **REFERENCE)
@@ -231,7 +230,7 @@ def test_the_stroke_is_the_surface_under_each_contactor() -> None:
         sweep.place[:, None, 0] + sweep.position, sweep.place[:, None, 1]
     ), axis=-1)[:, ::10]  # fmt: skip
     spread = np.sum(surface.envelope.amplitude**2) / 2
-    expected = random_part(surface, place) * np.exp(surface.envelope.at(place) - spread)
+    expected = surface.random_part(place) * np.exp(surface.envelope.at(place) - spread)
     expected += surface.split[1].at(place)
     # the renderer's phasors are within −73 dB
     np.testing.assert_allclose(sweep.shear[:, ::10], expected, atol=1e-3 * expected.std() * 5)

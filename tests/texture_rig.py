@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tactile.arrays import Floats
-from tactile.texture.surface import Surface, Texture
+from tactile.texture.surface import Texture
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10)
 """Cycles/mm, exact."""
@@ -41,12 +41,6 @@ def write(path: Path, **tables: Mapping[str, object] | list[Mapping[str, object]
 def bands(levels: tuple[float, ...] = FALLING, **more: object) -> dict[str, object]:
     """Return the table of a stochastic part at the exact centers."""
     return {"frequency_per_mm": tuple(CENTERS.tolist()), "level_db": levels, **more}
-
-
-def random_part(surface: Surface, place: Floats) -> Floats:
-    """Return the random part of a surface at places (..., 2), without its envelope [m]."""
-    waves = surface.beside_fields.split[0].at(place)
-    return np.asarray(waves + sum(field.at(place) for field in surface.fields))
 
 
 def counted(wave_vector: Floats, amplitude: Floats, degrees: float) -> Floats:

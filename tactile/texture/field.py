@@ -1,6 +1,6 @@
 """Fields: random surfaces of tens of thousands of waves, which are looked up in tiles.
 
-A sum of some hundred plane waves is a spectrum of lines, and a classifier hears the lines. A field
+A sum of some hundred plane waves is a spectrum of lines, by which a classifier knows it. A field
 is a sum of so many waves that its spectrum along a stroke is that of noise, and its cost does not
 depend on their number: their sum is computed beforehand, by a fast Fourier transform, on the pixels
 of a tile that repeats over the plane.
@@ -213,7 +213,18 @@ def field_of(waves: Complex, highest: float, lowest: float) -> Field:
 
 
 def pitch_of(highest: float) -> float:
-    """Return the side of a pixel of the finest level for a highest spatial frequency [m]."""
+    """Compute the side of a pixel of the finest level.
+
+    Parameters
+    ----------
+    highest : float
+        Highest spatial frequency [cycles/m].
+
+    Returns
+    -------
+    float
+        Side of a pixel, `PER_CYCLE` of which make a cycle [m].
+    """
     return 1 / (PER_CYCLE * highest)
 
 

@@ -21,7 +21,15 @@ from tactile.texture.fitting import Fit, RecordingMeasures, describe, measure_sl
 from tactile.texture.power_laws import level_shift
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import INTEGRATIONS
-from tactile.texture.surface import PARTIALS, Partials, density_of, envelope, stochastic_waves
+from tactile.texture.surface import (
+    PARTIALS,
+    Partials,
+    Surface,
+    density_of,
+    envelope,
+    scatter,
+    stochastic_waves,
+)
 
 ORDER = 8
 """Order of the autoregressive model."""
@@ -277,7 +285,7 @@ def rendered_levels(stochastic: Stochastic, center: Floats) -> Floats:
 
 
 def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, float]:
-    """Render strokes along the direction of a surface, each at another place of its fields.
+    """Render strokes along the direction of a surface, each at another place.
 
     Parameters
     ----------
@@ -295,25 +303,22 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
     """
     vectors, amplitude = stochastic_waves(stochastic, PARTIALS)
     density = density_of(vectors, amplitude, stochastic, Laws())
-    fields = density.drawn(np.random.default_rng(0))
-    lowest = density.ranges[-1][0] if fields else np.inf
-    rest = np.linalg.norm(vectors, axis=1) < 2 * np.pi * lowest
     step = 1 / (2.56 * third_octaves(center)[-1])
     turn = np.radians(stochastic.direction_deg)
-    ahead = step * np.array([np.cos(turn), np.sin(turn)])
-    count = round(PERIODS / center[0] / step)
+    way = np.outer(
+        step * np.arange(round(PERIODS / center[0] / step)), [np.cos(turn), np.sin(turn)]
+    )
+    rng = np.random.default_rng(0)
+    waves = Partials(vectors, amplitude, rng.uniform(0, 2 * np.pi, len(amplitude)))
+    slow, none = envelope(stochastic, rng), scatter((), Surface.tile, rng)
+    surface = Surface(waves, slow, *none, density=density)
 
-    def stroke(seed: int) -> Floats:
-        rng = np.random.default_rng(seed)
-        phase = rng.uniform(0, 2 * np.pi, np.count_nonzero(rest))
-        met = Partials(vectors[rest], amplitude[rest], phase).along(ahead, count)
-        place = rng.uniform(-1, 1, 2) + np.outer(np.arange(count), ahead)
-        for field in fields:
-            met += field.at(place)
-        slow = envelope(stochastic, rng)
-        return met * np.exp(slow.along(ahead, count) - np.sum(slow.amplitude**2) / 2)
+    def stroke() -> Floats:
+        place = rng.uniform(-1, 1, 2) + way
+        swell = np.exp(slow.at(place) - np.sum(slow.amplitude**2) / 2)
+        return surface.random_part(place) * swell
 
-    return np.stack([stroke(seed) for seed in range(STROKES)]), float(step)
+    return np.stack([stroke() for _ in range(STROKES)]), float(step)
 
 
 def _white(levels: Floats, center: Floats) -> Floats:

@@ -8,8 +8,8 @@ first non-negative least-squares fit to the bands in 72 directions finds one pow
 numbers, a second one finds one per wave, near that of its ring.
 
 Samples play a `field` with that spectrum instead of the waves themselves, whose lines a classifier
-recognizes. The waves are played by spectrum frames, which need few of them, and they are what
-closed forms are computed from; field and waves of a surface are two realizations of one texture.
+recognizes. Spectrum frames, which can carry few waves, play these; field and waves of a surface are
+two realizations of one texture. Closed forms are computed from the `density` of both.
 
 An isotropic surface cannot have every spectrum: whatever has a wave number κ also contributes below
 it, so that bands can neither rise nor peak. The nearest surface is taken, and its error is reported
@@ -137,33 +137,6 @@ class Partials:
         phase = self.wave_vector @ places.T + self.phase[:, None]
         return np.asarray(self.amplitude[:, None] * np.exp(1j * phase))
 
-    def along(self, step: Floats, count: int) -> Floats:
-        """Compute the displacement at evenly spaced places on a straight line from the origin.
-
-        The result is that of `at`, in much less time: a wave turns by the same angle with each
-        step, so that its phasor at step i J + j is the product of that at step i J and that of step
-        j.
-
-        Parameters
-        ----------
-        step : (2,) array of float
-            Vector from each place to the next [m].
-        count : int
-            Number of places.
-
-        Returns
-        -------
-        (count,) array of float
-            Sum of the waves [m].
-        """
-        turn = self.wave_vector @ step
-        size = math.isqrt(count) + 1
-        coarse = self.phase + turn * size * np.arange(-(count // -size))[:, None]
-        fine = turn * np.arange(size)[:, None]
-        real = (self.amplitude * np.cos(coarse)) @ np.cos(fine).T
-        imaginary = (self.amplitude * np.sin(coarse)) @ np.sin(fine).T
-        return np.asarray((real - imaginary).ravel()[:count])
-
 
 @dataclass(frozen=True)
 class Surface:
@@ -221,6 +194,22 @@ class Surface:
         size = np.linalg.norm(bands.wave_vector, axis=1) / (2 * np.pi)
         lowest = self.density.ranges[-1][0]
         return replace(self, partials=bands.part(size < lowest) + gratings)
+
+    def random_part(self, place: Floats) -> Floats:
+        """Compute the displacement of the random part, without its envelope.
+
+        Parameters
+        ----------
+        place : (..., 2) array of float
+            Places [m].
+
+        Returns
+        -------
+        (...) array of float
+            Sum of the fields and of the waves beside them [m].
+        """
+        waves = self.beside_fields.split[0].at(place)
+        return np.asarray(waves + sum(field.at(place) for field in self.fields))
 
     @property
     def split(self) -> tuple[Partials, Partials]:

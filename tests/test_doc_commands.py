@@ -40,7 +40,6 @@ NOT_RUN = {
     "tactile serve --config packaging/tactile.toml": "runs until it is ended (test_server_running)",
     "tactile clear --device URL": "a form and no command",
     "tactile play wood-oak --device serial://PATH": "a form and no command",
-    "tactile play --gain auto": "a form and no command",
     "tactile study … -o study.zarr --scheduler tcp://host:8786": "needs a cluster",
 }
 """Reason why a command is not run, by the command."""

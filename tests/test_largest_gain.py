@@ -1,9 +1,11 @@
 """The largest gain of a stroke: the drive comes to the named limit, and no sample beyond it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_rig import Command
 from playback_rig import swing
 from strength_rig import few
 
@@ -39,6 +41,27 @@ def test_a_slow_amplifier_is_the_limit_that_is_named(pair: Display, limit: str) 
     assert summary.peak_drive_v < 80
     louder = run(limited, suede, line, device="mock:", gain=1.03 * summary.gain)
     assert louder.limited_samples > 0
+
+
+def test_a_stroke_plays_the_largest_gain_where_there_is_one_and_else_gain_1(
+    command: Command, tmp_path: Path
+) -> None:
+    """Textures play the largest gain without the option, all else as its file says."""
+    stroke = ["play", "leather-suede", "--device", "mock:", "--seconds", 0.2, "--json"]
+    default, largest = (command(*stroke, *more).json for more in ([], ["--gain", "auto"]))
+    assert default["gain"] == largest["gain"] > 1
+    assert default["gain_limit"] == "voltage"
+    (tmp_path / "rest.csv").write_text("time_s,x_mm,y_mm,normal_force_n\n0,0,0,0.5\n0.2,0,0,0.5\n")
+    (tmp_path / "tap.ahap").write_text(
+        '{"Pattern": [{"Event": {"Time": 0.0, "EventType": "HapticTransient"}}]}'
+    )
+    at_rest = ["leather-suede", "--path", tmp_path / "rest.csv"]
+    for played in (at_rest, [tmp_path / "tap.ahap"]):
+        summary = command("play", *played, "--device", "mock:", "--json").json
+        assert (summary["gain"], summary["gain_limit"]) == (1.0, None)
+        refused = command("play", *played, "--device", "mock:", "--gain", "auto")
+        assert refused.code == 2
+        assert "gain auto" in refused.err
 
 
 def test_a_finger_at_rest_and_a_silent_texture_have_no_largest_gain(

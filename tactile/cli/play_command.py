@@ -76,12 +76,13 @@ def run(
         ),
     ] = "sim:",
     gain: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Factor that multiplies the texture, or auto for the largest one at which the "
-            "stroke stays within the limits of the display."
+            "stroke stays within the limits of the display; by default auto, and 1 for an effect "
+            "or a finger at rest."
         ),
-    ] = "1",
+    ] = None,
     record: Annotated[
         Path | None,
         typer.Option(
@@ -287,8 +288,10 @@ def _trajectory(path: Path | None, stroke: dict[str, float | None]) -> "tactile.
     )
 
 
-def _gain(text: str) -> float | Literal["auto"]:
-    """Return the gain of the option ``--gain``."""
+def _gain(text: str | None) -> float | Literal["auto"] | None:
+    """Return the gain of the option ``--gain``, None without it."""
+    if text is None:
+        return None
     if text == "auto":
         return "auto"
     try:

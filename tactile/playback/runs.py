@@ -341,7 +341,7 @@ def run(
     trajectory: Trajectory,
     *,
     device: str = "sim:",
-    gain: float | Literal["auto"] = 1.0,
+    gain: float | Literal["auto"] | None = 1.0,
     sample_rate: float | None = None,
     seed: int = 0,
     record: str | Path | None = None,
@@ -363,9 +363,10 @@ def run(
         Path of the finger; for an effect, that of `at_rest`.
     device : str
         URL of the bus.
-    gain : float or "auto"
+    gain : float, "auto" or None
         Factor on the texture's displacement; "auto" for the largest that the limits allow
-        (`largest_gain`).
+        (`largest_gain`). None is "auto" where something can be amplified, and 1 for an effect, a
+        finger at rest and a texture that leaves nothing to play.
     sample_rate : float, optional
         Sample rate of the drive, by default the choice of the device [Hz].
     seed : int
@@ -460,20 +461,28 @@ def _asked_for_currents(url: str, record: str | Path | None) -> str:
 
 def _set_gain(
     summary: Summary,
-    gain: float | Literal["auto"],
+    gain: float | Literal["auto"] | None,
     display: Display,
     texture: Texture | NamedEffect,
     trajectory: Trajectory,
     seed: int,
 ) -> None:
     """Note the gain in the summary; if it is the largest, with the limit that it reaches."""
-    if gain != "auto":
+    if isinstance(gain, float | int):
         summary.gain = gain
         return
-    if isinstance(texture, NamedEffect):
-        raise InputError(f"gain auto cannot be used with the effect {texture.name}: give a number")
-    rate = summary.sample_rate_hz
-    largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
+    try:
+        if isinstance(texture, NamedEffect):
+            raise InputError(
+                f"gain auto cannot be used with the effect {texture.name}: give a number"
+            )
+        rate = summary.sample_rate_hz
+        largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
+    except InputError:
+        if gain == "auto":
+            raise
+        summary.gain = 1.0  # nobody asked for more
+        return
     summary.gain, summary.gain_limit = largest.value, largest.limit
 
 

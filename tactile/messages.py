@@ -225,7 +225,8 @@ class Layer(Struct, frozen=True, kw_only=True, omit_defaults=True):
     texture : str
         Name of a texture, as listed in `Textures`.
     gain : float
-        Factor of the texture's amplitude, 0 to 1.
+        Factor of the texture's amplitude, 0 to 1. What 1 is, the key `levels` of the server's
+        configuration says: by default the largest that the limits of the display leave unchanged.
     seed : int
         Seed of the random realization of the texture; the same seed gives the same surface.
     """

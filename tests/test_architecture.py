@@ -50,7 +50,7 @@ MAP: dict[str, set[str]] = {
     "bringup": {"actuator", "bus", "devices", "display", "files", "playback", "sensing"},
     "server": {
         "clock", "display", "estop", "files", "messages", "paths", "playback",
-        "processes", "rendering", "texture", "tracking",
+        "processes", "rendering", "strength", "texture", "tracking",
     },
     "client": {"clock", "messages", "paths"},
     "local": {"client", "messages", "server"},

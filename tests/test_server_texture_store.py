@@ -36,7 +36,7 @@ class Bench:
         self.ends: list[tuple[int, int]] = []
         self.store = TextureStore(
             load_display("reference-24"), self.queue, keep=self.kept.append,
-            drop=self._drop, selected=lambda: self.selected,
+            drop=self._drop, selected=lambda: self.selected, largest=False,
         )  # fmt: skip
 
     async def _drop(self, number: int) -> None:

@@ -190,7 +190,8 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         ----------
         layers : str, tuple, Layer, or sequence of these
             Name of a texture, pair of name and gain (0 … 1), `Layer`, or several of these, which
-            are added up; ``()`` for nothing.
+            are added up; ``()`` for nothing. With gain 1, which is the default, a texture comes
+            near the limits of the display, unless the server's configuration says otherwise.
         timeout : float, optional
             Longest wait for the answer [s].
         """

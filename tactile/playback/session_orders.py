@@ -14,6 +14,7 @@ from tactile.playback import commands
 from tactile.playback.commands import PreparedTexture
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
+from tactile.strength.strength import amplified
 from tactile.texture.surface import Texture
 
 
@@ -29,11 +30,14 @@ class TextureDescription:
         Seed of its realization.
     source : SourceFile
         Text of its file.
+    gain : float
+        Gain that is part of the realization; sessions before there was one had gain 1.
     """
 
     number: int
     seed: int
     source: SourceFile
+    gain: float = 1.0
 
 
 SessionOrder = (
@@ -55,7 +59,7 @@ _NAMES = {kind: name for name, kind in KINDS.items()}
 
 
 def realized(
-    display: Display, texture: Texture, seed: int, how: commands.DeviceOpened
+    display: Display, texture: Texture, seed: int, how: commands.DeviceOpened, *, gain: float
 ) -> PreparedTexture:
     """Realize a texture for a display.
 
@@ -69,12 +73,16 @@ def realized(
         Seed of its realization.
     how : DeviceOpened
         How the device plays.
+    gain : float
+        Gain of the texture.
 
     Returns
     -------
     PreparedTexture
         Texture for a link that takes samples, or for one that takes spectrum frames.
     """
+    if gain != 1:
+        texture = amplified(texture, gain)
     if not how.carriers:
         return RealizedLayer(display, texture, seed=seed)
     return SpectrumRenderer(

@@ -100,7 +100,7 @@ class _Player:
             return False
         if isinstance(order, TextureDescription):
             texture = texture_of(order.source, self._folder)
-            prepared = realized(self._display, texture, order.seed, self._how)
+            prepared = realized(self._display, texture, order.seed, self._how, gain=order.gain)
             self.mixer.apply(KeepTexture(order.number, prepared))
         else:
             with suppress(Exception):  # playback answered it with the error, and played on

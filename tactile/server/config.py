@@ -192,6 +192,9 @@ class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         Voltage limit [V], which may only be lower than that of the display file.
     gain : float
         Factor of everything that is played, 0 to 1.
+    levels : str
+        What a texture of gain 1 plays: `largest`, with the largest gain that the limits of the
+        display leave unchanged in strokes of 40, 80 and 160 mm/s; `file`, the levels of its file.
     arm_on_start : bool
         Whether to arm the display when the server starts, without a client.
     rearm : bool
@@ -210,6 +213,7 @@ class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     sample_rate_hz: Annotated[float, Meta(ge=2500, le=200_000)] | None = None
     voltage_limit_v: Annotated[float, Meta(gt=0, le=1000)] | None = None
     gain: Fraction = 1.0
+    levels: Literal["largest", "file"] = "largest"
     arm_on_start: bool = False
     rearm: bool = False
     worn: bool = False

@@ -160,7 +160,7 @@ class Playing:
         self._since = 0.0
         self._texture_store = TextureStore(
             self.display, preparation_queue, keep=self._keep_texture, drop=self._drop_texture,
-            selected=self._selected,
+            selected=self._selected, largest=self.config.levels == "largest",
         )  # fmt: skip
         self.owners = Owners()
         self._estops = 0

@@ -50,7 +50,14 @@ class PreparationQueue:
         self._number = 0
 
     async def prepare(
-        self, display: Display, texture: str, seed: int, how: DeviceOpened, clients: set[int]
+        self,
+        display: Display,
+        texture: str,
+        seed: int,
+        how: DeviceOpened,
+        clients: set[int],
+        *,
+        largest: bool,
     ) -> preparing.Preparation:
         """Prepare a texture.
 
@@ -66,6 +73,8 @@ class PreparationQueue:
             How the device of the display plays.
         clients : set of int
             Numbers of the clients that wait; if all have left, the texture is skipped at its turn.
+        largest : bool
+            Whether to give the texture the largest gain that the limits allow.
 
         Returns
         -------
@@ -78,7 +87,7 @@ class PreparationQueue:
             If the texture cannot be prepared, or nobody waits for it any more.
         """
         self._number += 1
-        request = preparing.PreparationRequest(self._number, display, texture, seed, how)
+        request = preparing.PreparationRequest(self._number, display, texture, seed, how, largest)
         job = Job(request, clients, asyncio.get_running_loop().create_future())
         self._waiting.setdefault(min(clients, default=0), deque()).append(job)
         self._start_next()

@@ -79,6 +79,8 @@ class TextureStore:
         Coroutine function that drops the texture with a number from playback.
     selected : callable
         Function that returns the numbers of the textures that clients have selected.
+    largest : bool
+        Whether textures have the largest gain that the limits of the display allow.
 
     Attributes
     ----------
@@ -94,8 +96,9 @@ class TextureStore:
         keep: Callable[[Preparation], None],
         drop: Callable[[int], Awaitable[None]],
         selected: Callable[[], set[int]],
+        largest: bool,
     ) -> None:
-        self._display, self._queue = display, queue
+        self._display, self._queue, self._largest = display, queue, largest
         self._keep, self._drop, self._selected = keep, drop, selected
         self._running: dict[Key, RunningPreparation] = {}
         self._held: dict[object, set[int]] = {}
@@ -170,7 +173,9 @@ class TextureStore:
     async def _prepare(self, key: Key, how: DeviceOpened, clients: set[int]) -> int:
         """Prepare a texture for as long as clients wait for it; return its number."""
         try:
-            prepared = await self._queue.prepare(self._display, *key, how, clients)
+            prepared = await self._queue.prepare(
+                self._display, *key, how, clients, largest=self._largest
+            )
             await self._make_room(key[0], len(prepared.order))
             self._keep(prepared)
             self.ready[key] = StoredTexture(prepared.number, len(prepared.order))

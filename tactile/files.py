@@ -297,15 +297,40 @@ def parse(
     data = _data_of(text, path)
     if adapt is not None:
         adapt(data)
+    return shaped(data, str(path), shape)
+
+
+def shaped(data: Any, where: str, shape: type[Shape]) -> Shape:
+    """Convert data to a Struct, without keys, options and numbers that it does not have.
+
+    Parameters
+    ----------
+    data : object
+        Nested tables, arrays, numbers and texts.
+    where : str
+        Origin of the data, for the message.
+    shape : type of msgspec.Struct
+        Shape of the data.
+
+    Returns
+    -------
+    msgspec.Struct
+        Data, an instance of ``shape``.
+
+    Raises
+    ------
+    InputError
+        If the data does not fit the shape; the message gives origin, field, value and limit.
+    """
     for field, value in _leaves(data):
         if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"{path}: {field} = {value}: must be a finite number")
+            raise InputError(f"{where}: {field} = {value}: must be a finite number")
     for field, problem in _unknown(data, msgspec.inspect.type_info(shape), ""):
-        raise InputError(_one_line(f"{path}: {field}: {problem}"))
+        raise InputError(_one_line(f"{where}: {field}: {problem}"))
     try:
         return msgspec.convert(data, shape)
     except msgspec.ValidationError as error:
-        raise InputError(_one_line(f"{path}: {explain(data, str(error))}")) from error
+        raise InputError(_one_line(f"{where}: {explain(data, str(error))}")) from error
 
 
 def _one_line(text: str) -> str:

@@ -74,6 +74,7 @@ ALONE = {"rendering.equalizer": "takes a response array, never a beam or a finge
 AT_HOME = {
     "PIL": {"texture.picture"},
     "numba": {"machine_code"},
+    "onnxruntime": {"texture.formats.level_model"},
     "matplotlib": {"show", "study"},
     "pymoo": {"study"},
     "rich": {"bench.__init__", "cli", "show.effect_view", "show.live", "show.still"},
@@ -303,6 +304,7 @@ def test_every_library_is_a_declared_dependency() -> None:
         *project["dependencies"],
         *extras["plot"],
         *extras["picture"],
+        *extras["onnx"],
         *extras["study"],
     ]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}

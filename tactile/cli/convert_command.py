@@ -1,11 +1,13 @@
 """The command ``tactile convert``."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from tactile.cli.options import AsJson, Force, emit, within
+from tactile.cli.printing import print_table, right
 
 
 def run(
@@ -23,9 +25,15 @@ def run(
 ) -> None:
     """Convert haptic effects and textures to other formats.
 
-    Reads .haptic, .ahap, .hjif, .wav, .toml and Penn texture models (.xml); writes .haptic, .ahap,
-    .hjif, .wav, .toml and OpenXR buffers (.json). Everything that the target format cannot express
-    is listed.
+    Reads .haptic, .ahap, .hjif, .wav, .toml, Penn texture models (.xml) and learned models (.onnx);
+    writes .haptic, .ahap, .hjif, .wav, .toml and OpenXR buffers (.json). Everything that the target
+    format cannot express is listed.
+
+    A learned model has one float32 input (N, 2), speed in mm/s and normal force in N, and one
+    float32 output (N, B), levels of third octaves in dB re 1 µm²·mm. Its metadata has the JSON
+    arrays frequency_per_mm, speed_range_mm_s and normal_force_range_n, and the texts quantity
+    ("tangential_skin_displacement") and source, and may have category and license. It needs the
+    extra onnx.
 
     Example: tactile convert wood-oak oak.hjif --speed-mm-s 80
     """
@@ -38,6 +46,8 @@ def run(
     facts: dict[str, Any] = {"target": str(target), "became": done.became, "lost": list(done.lost)}
     if done.became == "effect":
         facts |= {"channels": done.channels, "seconds": done.seconds}
+    if done.bands:
+        facts["bands"] = [asdict(band) for band in done.bands]
     emit(facts, as_json, _print)
 
 
@@ -49,3 +59,11 @@ def _print(f: dict[str, Any]) -> None:
         print(f"{f['target']}: a {f['became']}")
     for line in f["lost"]:
         print(f"  {line}")
+    if "bands" in f:
+        columns = right("cycles/mm", "level dB re 1 µm²·mm", "error dB rms", "largest error dB")
+        rows = (
+            (f"{b['frequency_per_mm']:g}", f"{b['level_db']:.1f}", f"{b['rms_db']:.2f}",
+             f"{b['worst_db']:+.2f}")
+            for b in f["bands"]
+        )  # fmt: skip
+        print_table(columns, rows, "Texture, and its difference from the model")

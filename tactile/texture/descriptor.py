@@ -44,6 +44,12 @@ Exponent = Annotated[float, Meta(ge=-4, le=4)]
 SpreadLimit = Annotated[float, Meta(gt=0, le=60)]
 """Standard deviation of a direction, above 0 and at most 60 [°]."""
 
+Category = Literal[
+    "wood", "leather", "plastic", "textile", "metal", "paper",
+    "stone", "rubber", "foam", "abrasive", "glass", "test",
+]  # fmt: skip
+"""Material of a texture, which is the name of its folder."""
+
 
 class _Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Base class of the tables of a texture file, in which unknown keys are errors."""
@@ -71,10 +77,7 @@ class About(_Part, frozen=True, kw_only=True):
     """
 
     id: Annotated[str, Meta(pattern="^[a-z0-9]+(-[a-z0-9]+)*$")]
-    category: Literal[
-        "wood", "leather", "plastic", "textile", "metal", "paper",
-        "stone", "rubber", "foam", "abrasive", "glass", "test",
-    ]  # fmt: skip
+    category: Category
     description: str
     provenance: Literal["fitted", "published", "authored"]
     source: Annotated[str, Meta(min_length=1)]

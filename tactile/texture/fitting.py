@@ -438,7 +438,7 @@ def describe(
     progress("statistics")
     stochastic = _stochastic(measured, bands + anchor, spread)
     progress("surface")
-    stochastic, loss = _with_direction(stochastic)
+    stochastic, loss = with_direction(stochastic)
     descriptor = Descriptor(
         texture=about,
         reference=reference,
@@ -542,10 +542,20 @@ def _stochastic(measured: RecordingMeasures, bands: Floats, spread: Floats) -> S
     )
 
 
-def _with_direction(stochastic: Stochastic) -> tuple[Stochastic, Floats]:
-    """Return the bands, with a direction if an isotropic surface misses them by too much.
+def with_direction(stochastic: Stochastic) -> tuple[Stochastic, Floats]:
+    """Give a random part a direction if an isotropic surface misses its bands by too much.
 
-    The error (B,) of the isotropic surface [dB] is returned as well.
+    Parameters
+    ----------
+    stochastic : Stochastic
+        Isotropic random part.
+
+    Returns
+    -------
+    stochastic : Stochastic
+        The same bands, with a spread of directions if the error is above `LARGEST_LOSS` in a band.
+    loss : (B,) array of float
+        Level of the nearest isotropic surface above that of the bands [dB].
     """
     waves = stochastic_waves(stochastic, 8 * len(stochastic.level_db))
     levels = band_levels(*waves, stochastic, stroke_directions(stochastic))

@@ -1,15 +1,15 @@
 """Conversion between files, whose formats follow from their suffixes, with a report of losses.
 
 A texture is a function of space and an effect one of time; a speed converts one to the other. So a
-texture (the name of a shipped one, a ``.toml`` with ``[texture]``, a Penn model) becomes an effect
-at a stated speed. A .hjif becomes a texture where its target is ``.toml`` and a speed is stated.
-Without a speed it stays an effect, in a ``.toml`` with ``[effect]``.
+texture (the name of a shipped one, a ``.toml`` with ``[texture]``, a Penn model, a learned model)
+becomes an effect at a stated speed. A .hjif becomes a texture where its target is ``.toml`` and a
+speed is stated. Without a speed it stays an effect, in a ``.toml`` with ``[effect]``.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import msgspec
 import tomli_w
@@ -23,6 +23,9 @@ from tactile.texture.formats import ahap, haptic_clip, hatt, hjif, pcm, reading,
 from tactile.texture.formats.document import Effect, EffectFile, channels_of, segments_of
 from tactile.texture.formats.effect_shear import NamedEffect
 from tactile.texture.formats.synthesis import duration
+
+if TYPE_CHECKING:
+    from tactile.texture.formats.level_model import BandError
 
 Loaded = tuple[Effect, list[str]]
 """Effect of a file, and notes on what was ignored or changed."""
@@ -80,12 +83,23 @@ class Conversion:
         Number of channels of an effect.
     seconds : float
         Duration of an effect [s].
+    bands : tuple of BandError
+        Distance by band between a learned model and the texture made of it.
     """
 
     became: Literal["effect", "texture"]
     lost: tuple[str, ...]
     channels: int = 0
     seconds: float = 0.0
+    bands: "tuple[BandError, ...]" = ()
+
+
+class _Source(NamedTuple):
+    """Texture that a source is, or None if it is an effect, with notes and distances by band."""
+
+    texture: Descriptor | None
+    notes: list[str]
+    bands: "tuple[BandError, ...]" = ()
 
 
 def load_effect(path: str | Path) -> Effect:
@@ -266,7 +280,7 @@ def convert_file(
     """
     _checked_target(target, force=force)
     path = Path(source)
-    texture, notes = _texture_of(source, path, speed)
+    texture, notes, bands = _texture_of(source, path, speed)
     if texture is None:
         effect, notes = _loaded(path)
         if speed is None or target.suffix != ".toml":
@@ -280,7 +294,7 @@ def convert_file(
         identity = msgspec.structs.replace(texture.texture, id=target.stem)
         texture = msgspec.structs.replace(texture, texture=identity)
         descriptor_file.write(texture, target, force=force)
-        return Conversion("texture", tuple(notes))
+        return Conversion("texture", tuple(notes), bands=bands)
     if speed is None:
         raise InputError(
             f"{target}: --speed-mm-s must give the speed of the finger over the texture"
@@ -296,23 +310,26 @@ def _effect_conversion(effect: Effect, lost: list[str]) -> Conversion:
     return Conversion("effect", tuple(lost), len(channels_of(effect)), duration(effect))
 
 
-def _texture_of(
-    source: str, path: Path, speed: float | None
-) -> tuple[Descriptor | None, list[str]]:
-    """Return the texture that a source is, or None if it is an effect, and notes."""
+def _texture_of(source: str, path: Path, speed: float | None) -> _Source:
+    """Return what a source is."""
     if path.suffix == ".xml":
         model = hatt.load_model(path)
-        return hatt.texture_from(model, speed or hatt.REFERENCE_SPEED)
+        return _Source(*hatt.texture_from(model, speed or hatt.REFERENCE_SPEED))
+    if path.suffix == ".onnx":
+        # Servers, which read effects, are spared the import of the fit.
+        from tactile.texture.formats.level_model import load_level_model, texture_of_model
+
+        return _Source(*texture_of_model(load_level_model(path), speed))
     if source in descriptors.textures():
-        return descriptors.load(source), []
+        return _Source(descriptors.load(source), [])
     if path.suffix == "" and not files.is_file(path):
         raise NotFoundError(
             f"{source}: neither a file nor a texture; "
             f"{files.nearest(source, descriptors.textures())}"
         )
     if path.suffix == ".toml" and not is_effect(path):
-        return descriptors.load(path), []
-    return None, []
+        return _Source(descriptors.load(path), [])
+    return _Source(None, [])
 
 
 def _checked_target(path: Path, *, force: bool) -> None:

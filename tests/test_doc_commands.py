@@ -20,6 +20,7 @@ from PIL import Image
 from test_readme import DOCUMENTS, make_recording, make_session
 
 import tactile
+from benchmarks.realism.learned import BandRegression, write_model
 from tactile.bringup.calibrating import calibrate
 from tactile.files import shipped
 
@@ -87,6 +88,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "plant.py").write_text(PLANT)
     (place / "tap.ahap").write_text(json.dumps(TAP))
     Image.fromarray(rng.integers(0, 255, (450, 450), np.uint8)).save(place / "map.png")
+    falling = BandRegression(
+        center=1e3 * 10 ** (np.arange(-3, 9) / 10), weight=np.full((2, 12), -1.0),
+        level=np.linspace(-60, -90, 12), speed=(0.02, 0.06), force=(0.5, 0.5),
+    )  # fmt: skip
+    write_model(place / "model.onnx", falling, source="a straight line")
     make_recording(place / "oak.h5")
     (place / "measured.csv").write_text(measured())
     calibrate("sim:?finger=air&tolerance=1", "reference-24", write=place / "in-air.npz")

@@ -97,6 +97,25 @@ def test_bands_with_exponents_of_their_own_leave_the_closed_form_of_a_rest(tmp_p
         assert abs(band.worst_db) == pytest.approx(10 * math.log10(2), abs=0.06), sign
 
 
+def test_a_level_that_bends_over_speed_is_farthest_at_the_ends(tmp_path: Path) -> None:
+    """A level of 2 x² dB over x = ln(v/v0) has no slope; a constant lies below it at the ends."""
+    bend = [
+        LOG[0],
+        helper.make_node("Sub", ["lever", "middle"], ["x"]),
+        helper.make_node("Mul", ["x", "x"], ["square"]),
+        helper.make_node("MatMul", ["square", "weight"], ["law"]),
+        LOG[2],
+    ]
+    weight, middle = np.stack([np.full(len(BANDS), 2.0), np.zeros(len(BANDS))]), np.log([40, 1])
+    constants = {"weight": weight, "middle": middle, "bias": FALLING}
+    file = written(tmp_path / "bend.onnx", bend, constants=constants)
+    texture, _, bands = texture_of_model(load_level_model(file))
+    assert texture.laws.speed_exponent == 0
+    square = 2 * np.linspace(-math.log(2), math.log(2), level_model.SPEEDS) ** 2
+    for band in bands:
+        assert band.worst_db == pytest.approx(square.mean() - square[0], abs=0.06)
+
+
 def test_a_network_is_given_speed_in_mm_s_and_then_force_in_n(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(2, 8)) / 10, rng.normal(size=(8, len(BANDS)))
@@ -299,14 +318,18 @@ def test_a_loop_without_end_is_stopped(tmp_path: Path, monkeypatch: pytest.Monke
     assert refusal(path, texture_of_file) == "computes for more than 0.2 s"
 
 
-def test_a_model_reads_no_other_file(tmp_path: Path) -> None:
-    """Data in a file beside the model would be read from wherever the model says."""
+@pytest.mark.parametrize("absolute", [True, False])
+def test_a_model_reads_no_other_file(
+    absolute: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Weights may stand in a file that the model names; it is beside the model and open to all."""
+    monkeypatch.chdir(tmp_path)
     path, beside = written(tmp_path / "x.onnx"), tmp_path / "weight.bin"
     model = onnx.load(path)
     weight = model.graph.initializer[0]
     beside.write_bytes(weight.raw_data)
     weight.ClearField("raw_data")
     weight.data_location = TensorProto.EXTERNAL
-    weight.external_data.add(key="location", value=str(beside))
+    weight.external_data.add(key="location", value=str(beside) if absolute else beside.name)
     path.write_bytes(model.SerializeToString())
-    assert refusal(path).startswith("not an ONNX model that can be read: External data path")
+    assert refusal(path).startswith("not an ONNX model that can be read: ")

@@ -225,7 +225,7 @@ def test_white_noise_has_the_level_of_the_recording(rng: Generator) -> None:
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("name", ["rendered", "mpeg"])
+@pytest.mark.parametrize("name", ["rendered", "mpeg", "learned"])
 def test_textures_have_about_the_spectrum_of_the_process_that_was_recorded(
     name: str, rng: Generator
 ) -> None:

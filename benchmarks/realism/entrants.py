@@ -7,10 +7,14 @@ v/v0 times as strong.
 """
 
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.fit import ABOUT, texture_of_fit
@@ -22,11 +26,13 @@ from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.texture.fitting import describe, measure_slides
+from tactile.texture.formats.conversion import convert_file
 from tactile.texture.formats.hatt import polynomial
 from tactile.texture.formats.surface_effect import effect_of
 from tactile.texture.formats.synthesis import synthesize
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import INTEGRATIONS
+from tactile.texture.surface import Texture, load_texture
 
 NARROW = SKIN.rate
 """Sample rate of recordings of which models are made [Hz]. A wider band would spend the poles of an
@@ -74,11 +80,7 @@ class RenderedTexture:
     ) -> list[Recorded]:
         """Render strokes over a fitted texture, each over another surface; see `Entrant`."""
         texture = texture_of_fit(describe(measure_slides(train), ABOUT))
-        display = first_contactors(load_display("reference-24"), 1)
-        path = Trajectory.line(speed=speed, duration=duration + 2 * SKIPPED / RATE)
-        seeds = rng.integers(1 << 31, size=count)
-        shears = [render(display, texture, path, seed=int(seed)).shear[:, 0] for seed in seeds]
-        return strokes_of_shear(shears, train, speed)
+        return rendered_over(texture, train, speed, duration, rng.integers(1 << 31, size=count))
 
 
 class TextureEffect:
@@ -200,6 +202,23 @@ class PhaseRandomized:
         return strokes
 
 
+class LearnedLevels:
+    """Texture of a model that learned levels by speed, through an ONNX file."""
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Render strokes over the texture, each over another surface; see `Entrant`."""
+        from benchmarks.realism.learned import regression_of, write_model
+
+        with TemporaryDirectory() as folder:
+            file, target = Path(folder) / "learned.onnx", Path(folder) / "learned.toml"
+            write_model(file, regression_of(measure_slides(train)), source="bench")
+            convert_file(str(file), target)
+            texture = load_texture(target)
+        return rendered_over(texture, train, speed, duration, rng.integers(1 << 31, size=count))
+
+
 ENTRANTS: dict[str, Entrant] = {
     "rendered": RenderedTexture(),
     "replayed": Replayed(),
@@ -210,7 +229,19 @@ ENTRANTS: dict[str, Entrant] = {
     "mpeg": TextureEffect(),
     "white": White(),
 }
-"""Entrants by name."""
+"""Entrants by name; a learned model needs onnx and onnxruntime."""
+if find_spec("onnx") and find_spec("onnxruntime"):
+    ENTRANTS["learned"] = LearnedLevels()
+
+
+def rendered_over(
+    texture: Texture, train: list[Recorded], speed: float, duration: float, seeds: NDArray[np.intp]
+) -> list[Recorded]:
+    """Render strokes under a contactor, each over another surface, like recordings."""
+    display = first_contactors(load_display("reference-24"), 1)
+    path = Trajectory.line(speed=speed, duration=duration + 2 * SKIPPED / RATE)
+    shears = [render(display, texture, path, seed=int(seed)).shear[:, 0] for seed in seeds]
+    return strokes_of_shear(shears, train, speed)
 
 
 def stroke_like(recorded: Recorded, signal: Floats, rate: float, speed: float) -> Recorded:

@@ -11,6 +11,7 @@ A texture has one exponent for speed and one for force. They are fitted to the l
 ranges in which the model was trained, and what is left between model and texture is reported.
 """
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -229,8 +230,11 @@ def load_level_model(path: Path) -> LevelModel:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     # Optimization would already compute parts of the model, for as long as they take.
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    # A model that has data in other files would read them from the working folder.
+    options.add_session_config_entry(
+        "session.model_external_initializers_file_folder_path", os.devnull
+    )
     try:
-        # The content, unlike the path, gives a model no folder to read other files from.
         session = onnxruntime.InferenceSession(content, options, ["CPUExecutionProvider"])
     except Exception as error:  # The exceptions of onnxruntime have no other base class.
         raise InputError(f"{path}: {_unreadable(error)}") from error
@@ -373,8 +377,8 @@ def _laws(about: LevelMetadata, speed: Floats, force: Floats, level: Floats) -> 
     lever = 20 * np.log10(np.stack([speed, force], axis=1))
     lever, deviation = lever - lever.mean(axis=0), level - level.mean()
     exponent = np.array([SPEED_PRIOR[0], FORCE_PRIOR[0]])
-    rest = deviation - lever[:, ~varied] @ exponent[~varied]
-    exponent[varied] = np.linalg.lstsq(lever[:, varied], rest, rcond=None)[0]
+    # All speeds come with all forces, so that one exponent does not depend on the other.
+    exponent[varied] = np.linalg.lstsq(lever[:, varied], deviation, rcond=None)[0]
     exponent = np.clip(exponent, -4, 4).round(2)
     (slow, fast), (light, firm) = ranges
     return Laws(

@@ -69,6 +69,7 @@ TESTS = {
     "texture/measures": "test_measures test_fitting",
     "texture/fitting": "test_fitting test_cli_fit",
     "texture/perception": "test_perception",
+    "texture/formats/level_model": "test_level_models",
     "texture/power_laws": "test_power_laws test_shear",
     "study/criteria": "test_study_pieces test_study test_study_running",
     "study/load_fit": "test_load_fit",

@@ -75,6 +75,7 @@ def test_a_power_law_gives_a_texture_with_its_exponents_and_levels(tmp_path: Pat
     file = written(tmp_path / "law.onnx", constants=power_law(-0.97, 0.35))
     texture, notes, bands = texture_of_model(load_level_model(file))
     assert (texture.laws.speed_exponent, texture.laws.force_exponent) == (-0.97, 0.35)
+    assert (texture.laws.speed_range_mm_s, texture.laws.force_range_n) == ((5, 320), (0.217, 1.15))
     assert (texture.reference.speed_mm_s, texture.reference.normal_force_n) == (40, 0.5)
     assert texture.stochastic is not None
     assert texture.stochastic.frequency_per_mm == BANDS
@@ -296,6 +297,19 @@ def test_a_speed_for_which_it_was_not_trained_is_refused(tmp_path: Path) -> None
     path = written(tmp_path / "x.onnx")
     with pytest.raises(InputError, match=r"90 mm/s: the model was trained for 20 … 80 mm/s"):
         texture_of_model(load_level_model(path), 0.09)
+
+
+def test_a_model_that_needs_too_much_memory_is_refused_when_it_computes(tmp_path: Path) -> None:
+    """No process has 10¹⁶ numbers; a model that is only read does not compute them."""
+    nodes = [
+        helper.make_node("ConstantOfShape", ["size"], ["zeros"]),
+        helper.make_node("ReduceSum", ["zeros"], ["sum"], keepdims=0),
+        helper.make_node("Add", ["stroke", "sum"], ["level_db"]),
+    ]
+    size = helper.make_tensor("size", TensorProto.INT64, [2], [10**8, 10**8])
+    outputs = [tensor("level_db", ["N", 2])]
+    path = written(tmp_path / "x.onnx", nodes, constants={}, tensors=[size], outputs=outputs)
+    assert refusal(path, texture_of_file).startswith("cannot be computed: ")
 
 
 def test_a_loop_without_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

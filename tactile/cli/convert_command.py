@@ -16,8 +16,8 @@ def run(
     speed_mm_s: Annotated[
         float | None,
         typer.Option(
-            help="Speed of the finger in mm/s at which a texture becomes an effect, or an effect a "
-            "texture."
+            help="Speed of the finger in mm/s at which a texture becomes an effect, an effect a "
+            "texture, or a model states its levels."
         ),
     ] = None,
     force: Force = False,

@@ -36,13 +36,23 @@ def run(
             help="Width of one pixel in mm, at most 0.0625 to resolve 8 cycles/mm. Required."
         ),
     ] = None,
+    with_map: Annotated[
+        bool,
+        typer.Option(
+            "--map",
+            help="Play the height map itself, which the texture then contains, instead of bands "
+            "and gratings.",
+        ),
+    ] = False,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Create a texture from a height map of a surface.
 
     A model of skin that follows relief converts heights to skin displacement. Wavelengths,
-    directions and shapes are measured in the picture; levels are accurate to a factor of 2.
+    directions and shapes are measured in the picture; levels are accurate to a factor of 2. The
+    texture is a random surface with the same spectrum; with --map it is the relief in the picture,
+    which repeats without a seam.
 
     Example: tactile relief bark.png -o bark.toml --um-per-level 0.5 --mm-per-pixel 0.02
     --category wood
@@ -54,14 +64,16 @@ def run(
     check_name(out.stem, category)
     descriptor_file.check_target(out, out.stem, force=force)
     heights = read_height(picture, um_per_level=um_per_level, mm_per_pixel=mm_per_pixel)
-    result = texture_of(heights, name=out.stem, category=category, picture=picture.name)
+    result = texture_of(
+        heights, name=out.stem, category=category, picture=picture.name, with_map=with_map
+    )
     descriptor_file.write(result.descriptor, out, result.comments, force=force)
     emit(_facts(result, tactile.load_texture(out), out), as_json, _print)
 
 
 def _facts(result: Any, texture: "tactile.Texture", out: Path) -> dict[str, Any]:
     """Return what was measured in the picture and what the surface realizes."""
-    random = result.descriptor.stochastic
+    random, played = result.descriptor.stochastic, result.descriptor.map
     return {
         "file": str(out),
         "name": texture.name,
@@ -87,6 +99,8 @@ def _facts(result: Any, texture: "tactile.Texture", out: Path) -> dict[str, Any]
         "frequency_per_mm": [] if random is None else random.frequency_per_mm,
         "level_db": [] if random is None else random.level_db,
         "band_error_db": [round(float(e), 3) for e in texture.band_error_db],
+        "map": played
+        and {name: getattr(played, name) for name in ("width_mm", "height_mm", "columns", "rows")},
         "coarser_share": result.outside[0],
         "finer_share": result.outside[1],
         "notes": result.notes,
@@ -109,6 +123,10 @@ def _print(f: dict[str, Any]) -> None:
             f"harmonics {harmonics} µm"
         )
     rows["random"] = _random(f)
+    if f["map"]:
+        rows["map"] = (
+            "{width_mm:.3g} × {height_mm:.3g} mm in {columns} × {rows} pixels, then it repeats"
+        ).format(**f["map"])
     rows["outside"] = (
         f"{f['coarser_share']:.1%} of the relief's variance is coarser than the bands, "
         f"{f['finer_share']:.1%} finer"

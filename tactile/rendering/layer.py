@@ -1,10 +1,10 @@
 """One texture on one display: the shear that it commands under each contactor, stroke by stroke.
 
-The random part is read from fields, whose levels follow the speed of the finger. What is not in
-them, the waves of gratings and those too long for a tile, is a sum of partials. Partial m sounds
-at f_m = k_m·v/2π (signed) while the finger moves at velocity v. Contactor i at x_i is to shear the
-skin by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above 1 kHz. This is separable, so that a
-block of samples is a product of matrices,
+The random part, or the map of a texture, is read from fields, whose levels follow the speed of the
+finger. What is not in them, the waves of gratings and those too long for a tile, is a sum of
+partials. Partial m sounds at f_m = k_m·v/2π (signed) while the finger moves at velocity v.
+Contactor i at x_i is to shear the skin by Re a_m exp j(k_m·(p + x_i) + φ_m), rolled off above
+1 kHz. This is separable, so that a block of samples is a product of matrices,
 
     shear = (exp(jΦ) ∘ W) @ E,    Φ = k·p per sample (S × M),    E = a exp j(k·x + φ) (M × N).
 
@@ -139,7 +139,7 @@ class RealizedLayer:
             FieldReader(field, contactors, band=equalizer.PASS_BAND, gain=mean)
             for field in realized.fields
         ]
-        self._density = realized.density
+        self._density = None if realized.map else realized.density
         highest = max((field.highest for field in realized.fields), default=1.0)
         self._slow_squared = (equalizer.PASS_BAND / highest) ** 2
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
@@ -156,9 +156,9 @@ class RealizedLayer:
             phasors[:, : split // 2] *= self._roll_off(stroke.velocity, stroke.start)
         modulated = self._bands if len(self._to_envelope) else split
         shear = sides[:, :modulated] @ self._to_shear[:modulated]
-        if self._density is not None:
+        if self._fields:
             squares = stroke.squares[HISTORY:]
-            if not squares.max() <= self._slow_squared:
+            if self._density is not None and not squares.max() <= self._slow_squared:
                 squares = self._density.met_squares(stroke.velocity[:, HISTORY:], squares)
             for field in self._fields:
                 field.add_to(shear, stroke.place, squares)

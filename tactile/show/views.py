@@ -309,13 +309,14 @@ def surface_patch(
     """
     surface = texture.realize()
     place = pixel_places(side, pixels)
-    bands, gratings = surface.beside_fields.split
+    beside = surface.beside_fields
+    bands, gratings = beside.split
     field = _waves_on(bands, place)
     for random in surface.fields:
         field += random.at(np.stack(np.meshgrid(place, place), axis=-1))
-    if len(surface.envelope.amplitude):
-        mean_square = np.sum(surface.envelope.amplitude**2) / 2
-        field *= np.exp(_waves_on(surface.envelope, place) - mean_square)
+    if len(beside.envelope.amplitude):
+        mean_square = np.sum(beside.envelope.amplitude**2) / 2
+        field *= np.exp(_waves_on(beside.envelope, place) - mean_square)
     field += _waves_on(gratings, place)
     if len(surface.event_peak):
         field += _events_on(surface, texture.descriptor.events, place)

@@ -272,7 +272,7 @@ def weighted(texture: Texture, weight: Floats) -> Texture:
     Returns
     -------
     Texture
-        Texture with scaled waves and harmonics.
+        Texture with scaled waves and harmonics, which are played instead of a map.
     """
     rings = _rings(texture)
     place, periodic = int(rings.max(initial=-1)) + 1, []
@@ -281,7 +281,7 @@ def weighted(texture: Texture, weight: Floats) -> Texture:
         place += len(factors)
         scaled = tuple(w * h for w, h in zip(factors, part.harmonics_um, strict=True))
         periodic.append(structs.replace(part, harmonics_um=scaled))
-    descriptor = structs.replace(texture.descriptor, periodic=tuple(periodic))
+    descriptor = structs.replace(texture.descriptor, periodic=tuple(periodic), map=None)
     density = texture.density
     return replace(
         texture,

@@ -360,7 +360,7 @@ def amplified(texture: Texture, gain: float) -> Texture:
     Returns
     -------
     Texture
-        Texture with scaled waves, harmonics and events.
+        Texture with scaled waves, harmonics, events and map.
 
     Raises
     ------
@@ -382,11 +382,12 @@ def amplified(texture: Texture, gain: float) -> Texture:
         structs.replace(p, harmonics_um=tuple(gain * h for h in p.harmonics_um)) for p in d.periodic
     )
     events = tuple(structs.replace(e, amplitude_um=gain * e.amplitude_um) for e in d.events)
+    played = d.map and structs.replace(d.map, um_per_level=gain * d.map.um_per_level)
     return replace(
         texture,
         amplitude=gain * texture.amplitude,
         density=None if texture.density is None else texture.density.weighted(gain),
-        descriptor=structs.replace(d, periodic=periodic, events=events),
+        descriptor=structs.replace(d, periodic=periodic, events=events, map=played),
     )
 
 

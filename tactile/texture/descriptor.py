@@ -15,11 +15,16 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from tactile import files
+from tactile.arrays import Floats
 from tactile.errors import InputError
+from tactile.texture.map_pixels import unpacked
 
 FEWEST_BANDS, MOST_BANDS = 4, 41
 """Limits of the number of third-octave bands in the random part of a texture. Four bands are more
 than an octave; 41 cover all spatial frequencies that a file may state, 0.01 to 100 cycles/mm."""
+LARGEST_MAP = 1 << 18
+"""Maximum number of pixels of a map, which take 700 kB of the 1 MiB that a file may have. They
+cover a square of 28 mm up to 8 cycles/mm, of 9 mm up to 25 cycles/mm."""
 THIRD_OCTAVE = 10**0.1
 """Ratio between the centers of adjacent bands."""
 
@@ -214,6 +219,56 @@ class Events(_Part, frozen=True, kw_only=True):
     direction_deg: Degrees = 0.0
 
 
+class SkinMap(_Part, frozen=True, kw_only=True):
+    """Table ``[map]``: displacement pixel by pixel, which is played instead of bands and gratings.
+
+    The map repeats along x and y without a seam. It is the same for every seed. What is computed
+    without a stroke, and frames of spectra, use the bands and gratings of the file, which must
+    therefore describe the map.
+
+    Attributes
+    ----------
+    width_mm : float
+        Way along x after which the map repeats.
+    height_mm : float
+        Way along y after which it repeats.
+    columns : int
+        Number of pixels along x.
+    rows : int
+        Number of pixels along y. There are at most 262 144 pixels.
+    um_per_level : float
+        Displacement of one level; pixels have levels of −32 767 to 32 767.
+    pixels : str
+        Levels, row by row from the lowest y on, as written by `tactile relief --map`.
+    """
+
+    width_mm: Annotated[float, Meta(ge=1, le=1000)]
+    height_mm: Annotated[float, Meta(ge=1, le=1000)]
+    columns: Annotated[int, Meta(ge=16, le=16384)]
+    rows: Annotated[int, Meta(ge=16, le=16384)]
+    um_per_level: Annotated[float, Meta(ge=0, le=0.02)]
+    pixels: str
+
+    def __post_init__(self) -> None:
+        if self.columns * self.rows > LARGEST_MAP:
+            raise ValueError(
+                f"columns = {self.columns}: times {self.rows} rows is more than {LARGEST_MAP} "
+                "pixels, the most that may be: cut out a smaller piece"
+            )
+        unpacked(self.pixels, self.rows, self.columns)
+
+    @property
+    def highest_per_mm(self) -> float:
+        """Highest spatial frequency, which two pixels resolve [cycles/mm]."""
+        return min(self.columns / self.width_mm, self.rows / self.height_mm) / 2
+
+    @property
+    def displacement(self) -> Floats:
+        """Displacement of each pixel, (rows, columns) [m]."""
+        levels = unpacked(self.pixels, self.rows, self.columns)
+        return levels.astype(np.float64) * (self.um_per_level * 1e-6)
+
+
 class Laws(_Part, frozen=True, kw_only=True):
     """Table ``[laws]``: how the amplitude of displacement changes with speed and normal force.
 
@@ -304,6 +359,8 @@ class Descriptor(_Part, frozen=True, kw_only=True):
         Gratings, default none.
     events : tuple of Events
         Kinds of sparse features, default none.
+    map : SkinMap or None
+        Displacement pixel by pixel, default None.
     laws : Laws
         Dependence on speed and force; by default the amplitude is constant.
     friction : Friction or None
@@ -315,12 +372,33 @@ class Descriptor(_Part, frozen=True, kw_only=True):
     stochastic: Stochastic | None = None
     periodic: tuple[Periodic, ...] = ()
     events: tuple[Events, ...] = ()
+    map: SkinMap | None = None
     laws: Laws = Laws()
     friction: Friction | None = None
 
     def __post_init__(self) -> None:
         if self.stochastic is None and not self.periodic and not self.events:
             raise ValueError("needs at least one of [stochastic], [[periodic]], [[events]]")
+        if self.map is not None:
+            _check_map(self.map, self.stochastic, self.periodic)
+
+
+def _check_map(
+    played: SkinMap, stochastic: Stochastic | None, periodic: tuple[Periodic, ...]
+) -> None:
+    """Raise ValueError unless there are bands or gratings beside a map, which it resolves."""
+    if stochastic is None and not periodic:
+        raise ValueError(
+            "map: needs [stochastic] or [[periodic]] beside it, which tell its spectrum"
+        )
+    needed = 0.0
+    if stochastic is not None:
+        needed = stochastic.frequency_per_mm[-1] * THIRD_OCTAVE**0.5
+    if played.highest_per_mm < 0.99 * needed:
+        raise ValueError(
+            f"map: resolves {played.highest_per_mm:.3g} cycles/mm: needs {needed:.3g}, where "
+            "[stochastic] ends; leave out bands or give a finer map"
+        )
 
 
 def textures() -> list[str]:

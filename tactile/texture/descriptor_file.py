@@ -163,7 +163,7 @@ def _number(path: str, value: float) -> str:
     """Return a number as TOML, or raise `InputError` if it is not finite."""
     if not math.isfinite(value):
         raise InputError(f"{path} = {value}: must be a finite number")
-    return repr(float(value))
+    return repr(value if isinstance(value, int) else float(value))
 
 
 def _text(name: str, text: str) -> str:

@@ -18,7 +18,15 @@ from tactile import files
 from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import skin
-from tactile.texture.descriptor import About, Descriptor, Laws, Periodic, Reference, Stochastic
+from tactile.texture.descriptor import (
+    About,
+    Descriptor,
+    Laws,
+    Periodic,
+    Reference,
+    SkinMap,
+    Stochastic,
+)
 from tactile.texture.gratings import HarmonicWaves, gather, take_lines
 from tactile.texture.picture import HeightMap
 from tactile.texture.relief import (
@@ -35,6 +43,7 @@ from tactile.texture.relief import (
     stroke_levels,
     unsteadiness_of,
 )
+from tactile.texture.relief_map import map_of
 
 SHORTEST = 8e-3
 """Smallest shorter side of a picture [m]: four periods of 0.5 cycles/mm, below which bands are
@@ -90,7 +99,9 @@ class Relief:
     notes: tuple[str, ...]
 
 
-def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> Relief:
+def texture_of(
+    relief: HeightMap, *, name: str, category: str, picture: str, with_map: bool = False
+) -> Relief:
     """Make a texture from a height map.
 
     Parameters
@@ -103,6 +114,8 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
         Category of the texture.
     picture : str
         Name of the picture, which is written to the source line.
+    with_map : bool
+        Whether the texture plays the relief itself, as a map, instead of bands and gratings.
 
     Returns
     -------
@@ -112,14 +125,11 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
     Raises
     ------
     InputError
-        If a texture cannot have this name or category, or if the picture is too small.
+        If a texture cannot have this name or category, if the picture is too small, or if a height
+        is not a number.
     """
     check_name(name, category)
-    if relief.side < SHORTEST:
-        raise InputError(
-            f"{picture}: {relief.side * 1e3:.3g} mm on its shorter side: needs "
-            f"{SHORTEST * 1e3:g} mm, four periods of 0.5 cycles/mm"
-        )
+    _check_heights(relief, picture)
     height, sag = leveled(relief.height[::-1])
     spectrum = spectrum_of(height, relief.pixel)
     finest = spectrum.edges[-1]
@@ -128,9 +138,10 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
     periodic = tuple(_periodic(grating, spectrum) for grating in gratings)
     has_random_part = not gratings or rest.std() > ROUNDING * relief.level
     notes = list(relief.notes)
-    stochastic, orientation = None, Orientation(0.0, None, 0.0)
+    stochastic, orientation, first = None, Orientation(0.0, None, 0.0), 0
     if has_random_part:
-        stochastic, orientation = _stochastic(rest, relief, spectrum, notes)
+        first = 0 if with_map else first_measured(relief.side)
+        stochastic, orientation = _stochastic(rest, relief, spectrum, first, notes)
     else:
         notes.append("no random part: beside its gratings the picture holds only rounding")
     slope = float(spectrum.rms_slope(spectrum.edges[-1:])[0])
@@ -141,9 +152,10 @@ def texture_of(relief: HeightMap, *, name: str, category: str, picture: str) -> 
             reference=Reference(speed_mm_s=SPEED_MM_S, normal_force_n=FORCE_N),
             stochastic=stochastic,
             periodic=periodic,
+            map=_map(height, relief, spectrum, stochastic, gratings, notes) if with_map else None,
             laws=Laws(speed_exponent=-1.0, force_exponent=0.4),
         ),
-        comments=_comments(stochastic, periodic, relief),
+        comments=_comments(stochastic, periodic, first, with_map=with_map),
         roughness_um=float(np.mean(np.abs(height))) * UM,
         rms_um=float(height.std()) * UM,
         sag_um=sag * UM,
@@ -177,6 +189,18 @@ def check_name(name: str, category: str) -> None:
         raise InputError(f"name {name!r}: must be small letters, digits and single hyphens")
 
 
+def _check_heights(relief: HeightMap, picture: str) -> None:
+    """Raise `InputError` if a height is not a number or the picture is too small."""
+    holes = np.count_nonzero(~np.isfinite(relief.height))
+    if holes:
+        raise InputError(f"{picture}: {holes} heights are not numbers: fill them first")
+    if relief.side < SHORTEST:
+        raise InputError(
+            f"{picture}: {relief.side * 1e3:.3g} mm on its shorter side: needs "
+            f"{SHORTEST * 1e3:g} mm, four periods of 0.5 cycles/mm"
+        )
+
+
 def _periodic(grating: HarmonicWaves, whole: ReliefSpectrum) -> Periodic:
     """Return a grating with the amplitudes of the skin that follows it."""
     fundamental = float(np.hypot(*grating.frequency))
@@ -191,15 +215,34 @@ def _periodic(grating: HarmonicWaves, whole: ReliefSpectrum) -> Periodic:
     )
 
 
+def _map(
+    height: Floats, relief: HeightMap, spectrum: ReliefSpectrum, stochastic: Stochastic | None,
+    gratings: list[HarmonicWaves], notes: list[str],
+) -> SkinMap:  # fmt: skip
+    """Return the map up to where bands and gratings end, and append to the notes what it lacks."""
+    bands = len(stochastic.frequency_per_mm) if stochastic else FEWEST
+    finest = [float(np.hypot(*g.frequency)) * len(g.amplitude) for g in gratings]
+    highest = EDGES[max(bands, *np.searchsorted(EDGES, finest), 0)]
+    played = map_of(height, relief.pixel, spectrum, float(highest))
+    if max(played.width_mm, played.height_mm) < 0.75e3 * relief.side:
+        notes.append(
+            f"the map is the middle of the picture: up to {highest * 1e-3:.3g} cycles/mm, a file "
+            f"holds {played.width_mm:.3g} × {played.height_mm:.3g} mm"
+        )
+    return played
+
+
 def _stochastic(
-    rest: Floats, relief: HeightMap, whole: ReliefSpectrum, notes: list[str]
+    rest: Floats, relief: HeightMap, whole: ReliefSpectrum, first: int, notes: list[str]
 ) -> tuple[Stochastic, Orientation]:
-    """Return the random part as skin follows it, and append to the notes what of it is assumed."""
+    """Return the random part as skin follows it, and append to the notes what of it is assumed.
+
+    Bands below the number ``first`` are assumed.
+    """
     spectrum = spectrum_of(rest, relief.pixel)
     followed = spectrum.scaled(skin.skin_gain(whole.rms_slope(spectrum.number)))
     orientation = orientation_of(followed)
     direction = None if orientation.spread is None else orientation.direction
-    first = first_measured(relief.side)
     measured = stroke_levels(followed, direction)
     if first:
         notes.append(
@@ -291,7 +334,7 @@ def _about(name: str, category: str, picture: str, relief: HeightMap) -> About:
 
 
 def _comments(
-    stochastic: Stochastic | None, periodic: tuple[Periodic, ...], relief: HeightMap
+    stochastic: Stochastic | None, periodic: tuple[Periodic, ...], first: int, *, with_map: bool
 ) -> dict[str, str]:
     """Return the comments for the file by path."""
     comments = {
@@ -302,10 +345,11 @@ def _comments(
         "laws.force_exponent": "assumed",
     }
     if stochastic is not None:
-        first = first_measured(relief.side)
         below = f"; below {CENTERS[first]:g} cycles/mm assumed" if first else ""
         comments["stochastic.level_db"] = f"spectrum along a stroke, times the model's gain{below}"
     for i, _ in enumerate(periodic):
         comments[f"periodic[{i}].wavelength_mm"] = "measured"
         comments[f"periodic[{i}].direction_deg"] = "measured, x to the right and y up"
+    if with_map:
+        comments["map"] = "Played instead of the bands and gratings above, which describe it."
     return comments

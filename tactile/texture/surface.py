@@ -8,8 +8,9 @@ first non-negative least-squares fit to the bands in 72 directions finds one pow
 numbers, a second one finds one per wave, near that of its ring.
 
 Samples play a `field` with that spectrum instead of the waves themselves, whose lines a classifier
-recognizes. Spectrum frames, which can carry few waves, play these; field and waves of a surface are
-two realizations of one texture. Closed forms are computed from the `density` of both.
+recognizes. If the file has a map, they play it instead of waves, envelope and gratings. Spectrum
+frames, which can carry few waves, play the waves; field and waves of a surface are two realizations
+of one texture. Closed forms are computed from the `density` of both.
 
 An isotropic surface cannot have every spectrum: whatever has a wave number κ also contributes below
 it, so that bands can neither rise nor peak. The nearest surface is taken, and its error is reported
@@ -35,8 +36,8 @@ from tactile.files import SourceFile, find, read_text
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.density import Density
-from tactile.texture.descriptor import Descriptor, Events, Laws, Periodic, Stochastic
-from tactile.texture.field import Field
+from tactile.texture.descriptor import Descriptor, Events, Laws, Periodic, SkinMap, Stochastic
+from tactile.texture.field import Field, field_of_rectangle
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 """Golden ratio less one, which spreads the directions of waves evenly."""
@@ -161,6 +162,10 @@ class Surface:
     gratings : int
         Number of partials, at the end, that belong to gratings and are not multiplied by the
         envelope.
+    map : SkinMap or None
+        Displacement pixel by pixel, which is played instead of waves and envelope.
+    contact : float
+        Length of the low-pass of the contact, which is not yet applied to the map [m].
     density : Density or None
         Two-dimensional spectrum of the random part, None without one.
     seed : tuple of int
@@ -174,12 +179,16 @@ class Surface:
     event_kind: NDArray[np.intp]
     tile: float = 25.6e-3
     gratings: int = 0
+    map: SkinMap | None = None
+    contact: float = 0.0
     density: Density | None = None
     seed: tuple[int, ...] = (0,)
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:
-        """Random part as fields, which are played instead of the waves."""
+        """Random part or map as fields, which are played instead of the waves."""
+        if self.map is not None:
+            return (map_field(self.map, self.contact),)
         rng = np.random.default_rng([*self.seed, FIELD_STREAM])
         return () if self.density is None else self.density.drawn(rng)
 
@@ -187,8 +196,12 @@ class Surface:
     def beside_fields(self) -> "Surface":
         """Surface without the waves that its fields replace, to be added to the fields.
 
-        Waves remain where a tile has too few, and those of gratings.
+        Waves remain where a tile has too few, and those of gratings. Nothing but sparse events
+        remains beside a map.
         """
+        if self.map is not None:
+            none = Partials(*_no_waves(), np.zeros(0))
+            return replace(self, partials=none, envelope=none, gratings=0)
         if not self.fields or self.density is None:
             return self
         bands, gratings = self.split
@@ -197,7 +210,7 @@ class Surface:
         return replace(self, partials=bands.part(size < lowest) + gratings)
 
     def random_part(self, place: Floats) -> Floats:
-        """Compute the displacement of the random part, without its envelope.
+        """Compute the displacement of the random part without its envelope, or that of the map.
 
         Parameters
         ----------
@@ -292,6 +305,8 @@ class Texture:
             envelope(self.descriptor.stochastic, rng),
             *scatter(self.descriptor.events, Surface.tile, rng),
             gratings=len(partials.amplitude) - len(self.amplitude),
+            map=self.descriptor.map,
+            contact=self.laws.contact_length_mm / PER_MM,
             density=self.density,
             seed=entropy,
         )
@@ -432,6 +447,31 @@ def density_of(waves: Floats, amplitude: Floats, stochastic: Stochastic, laws: L
         None if spread is None else math.radians(spread),
     ).with_bands(met.mean(axis=0))
     return replace(density, contact=laws.contact_length_mm / PER_MM)
+
+
+def map_field(played: SkinMap, contact: float) -> Field:
+    """Compute the field of a map.
+
+    Parameters
+    ----------
+    played : SkinMap
+        Map of a descriptor.
+    contact : float
+        Length l of the low-pass of the contact, 1/√(1 + (κ l)²), 0 for none [m].
+
+    Returns
+    -------
+    Field
+        Field of the waves that the map resolves in all directions.
+    """
+    side = np.array([played.width_mm, played.height_mm]) / PER_MM
+    displacement = played.displacement
+    if contact:
+        rows, columns = displacement.shape
+        y, x = np.fft.fftfreq(rows, side[1] / rows), np.fft.rfftfreq(columns, side[0] / columns)
+        low_pass = 1 / np.hypot(1, 2 * np.pi * contact * np.hypot(x, y[:, None]))
+        displacement = np.fft.irfft2(np.fft.rfft2(displacement) * low_pass, displacement.shape)
+    return field_of_rectangle(displacement, side, played.highest_per_mm * PER_MM)
 
 
 def without_friction(texture: Texture) -> Texture:

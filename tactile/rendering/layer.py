@@ -139,7 +139,7 @@ class RealizedLayer:
             FieldReader(field, contactors, band=equalizer.PASS_BAND, gain=mean)
             for field in realized.fields
         ]
-        self._density = None if realized.map else realized.density
+        self._density, self._is_map = realized.density, realized.map is not None
         highest = max((field.highest for field in realized.fields), default=1.0)
         self._slow_squared = (equalizer.PASS_BAND / highest) ** 2
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
@@ -157,9 +157,11 @@ class RealizedLayer:
         modulated = self._bands if len(self._to_envelope) else split
         shear = sides[:, :modulated] @ self._to_shear[:modulated]
         if self._fields:
-            squares = stroke.squares[HISTORY:]
-            if self._density is not None and not squares.max() <= self._slow_squared:
-                squares = self._density.met_squares(stroke.velocity[:, HISTORY:], squares)
+            squares, velocity = stroke.squares[HISTORY:], stroke.velocity[:, HISTORY:]
+            if self._is_map:
+                squares = np.abs(velocity).sum(axis=0) ** 2
+            elif self._density is not None and not squares.max() <= self._slow_squared:
+                squares = self._density.met_squares(velocity, squares)
             for field in self._fields:
                 field.add_to(shear, stroke.place, squares)
         if len(self._to_envelope):

@@ -25,7 +25,8 @@ amplitude for k cycles per pixel, at most −38 dB at the highest wave number, w
 above 1 kHz is not played. Graphics hardware prefilters textures for that (Williams, "Pyramidal
 parametrics", SIGGRAPH 1983). Level j holds the waves below κ₀ 10^(−j/10), each level a third octave
 less than the one before, in pixels that double in size with every octave. At any speed, the two
-levels that end around 1 kHz are read and mixed.
+levels that end around 1 kHz are read and mixed. In a rectangle, the components of a wave number
+along x and along y end there, as those of a picture do, and count at the speed |vx| + |vy|.
 """
 
 import math
@@ -66,7 +67,8 @@ class Field:
     per_meter : (J, 2) array of float
         Number of pixels in a meter along x and y.
     highest : float
-        Highest spatial frequency of the finest level, κ₀/2π [cycles/m].
+        Highest spatial frequency of the finest level, κ₀/2π, of a rectangle along x and along y
+        [cycles/m].
     """
 
     tiles: Singles
@@ -131,7 +133,7 @@ class FieldReader:
         place : (2 or more, S) array of float
             Rows x and y of the finger's places [m].
         squares : (S,) array of float
-            Squared speed of the finger at each sample [m²/s²].
+            Squared speed of the finger at each sample, for a rectangle (|vx| + |vy|)² [m²/s²].
         """
         f = self._field
         add_levels(
@@ -217,22 +219,22 @@ def field_of_rectangle(displacement: Floats, side: Floats, highest: float) -> Fi
     side : (2,) array of float
         Sides of the rectangle along x and y, C and R pixels long [m].
     highest : float
-        Highest spatial frequency of the field, that two pixels resolve [cycles/m].
+        Highest spatial frequency along x and along y, that two pixels resolve [cycles/m].
 
     Returns
     -------
     Field
-        Field of all waves of the rectangle below the highest frequency.
+        Field of all waves of the rectangle whose frequencies along x and y are below the highest.
     """
     rows, columns = displacement.shape
     spectrum = rfft2(displacement, norm="forward")
     across, up = np.arange(columns // 2 + 1), np.arange(rows)
     up[rows - rows // 2 :] -= rows
-    size, tiles = np.hypot(across / side[0], up[:, None] / side[1]), []
+    finer, tiles = np.maximum(across / side[0], np.abs(up[:, None]) / side[1]), []
     for j in range(_level_count(highest, float(1 / side.max()))):
         end = highest * THIRD**j
         shape = [1 << max(math.ceil(math.log2(PER_CYCLE * end * s)), 2) for s in side]
-        y, x = np.nonzero(size < end)
+        y, x = np.nonzero(finer < end)
         turns = np.stack([across[x] / shape[0], up[y] / shape[1]])
         waves = np.zeros((shape[1], shape[0] // 2 + 1), np.complex128)
         waves[up[y], x] = spectrum[y, x] / _spline_response(turns)

@@ -44,7 +44,7 @@ def map_of(height: Floats, pixel: float, spectrum: ReliefSpectrum, highest: floa
     spectrum : ReliefSpectrum
         Spectrum of these heights.
     highest : float
-        Spatial frequency at which the map ends [cycles/m].
+        Spatial frequency along x and along y at which the map ends [cycles/m].
 
     Returns
     -------
@@ -99,9 +99,9 @@ def _followed(
     rows, columns = tile.shape
     up = np.rint(np.fft.fftfreq(rows, 1 / rows)).astype(np.intp)
     across = np.arange(columns // 2 + 1)
-    number = np.hypot(up[:, None] / (rows * pixel), across / (columns * pixel))
-    inside = (number >= EDGES[0]) & (number < min(highest, 0.5 / pixel))
-    y, x = np.nonzero(inside)
+    along_x, along_y = across / (columns * pixel), np.abs(up[:, None]) / (rows * pixel)
+    number, finer = np.hypot(along_x, along_y), np.maximum(along_x, along_y)
+    y, x = np.nonzero((number >= EDGES[0]) & (finer < min(highest, 0.5 / pixel)))
     gain = skin.skin_gain(spectrum.rms_slope(number[y, x]))
     waves = np.zeros((shape[0], shape[1] // 2 + 1), np.complex128)
     waves[up[y], x] = gain * rfft2(tile, norm="forward")[y, x]

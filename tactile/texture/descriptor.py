@@ -359,12 +359,12 @@ class Descriptor(_Part, frozen=True, kw_only=True):
         Gratings, default none.
     events : tuple of Events
         Kinds of sparse features, default none.
-    map : SkinMap or None
-        Displacement pixel by pixel, default None.
     laws : Laws
         Dependence on speed and force; by default the amplitude is constant.
     friction : Friction or None
         Friction, default None.
+    map : SkinMap or None
+        Displacement pixel by pixel, default None.
     """
 
     texture: About
@@ -372,9 +372,9 @@ class Descriptor(_Part, frozen=True, kw_only=True):
     stochastic: Stochastic | None = None
     periodic: tuple[Periodic, ...] = ()
     events: tuple[Events, ...] = ()
-    map: SkinMap | None = None
     laws: Laws = Laws()
     friction: Friction | None = None
+    map: SkinMap | None = None
 
     def __post_init__(self) -> None:
         if self.stochastic is None and not self.periodic and not self.events:

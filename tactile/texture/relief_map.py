@@ -56,8 +56,8 @@ def map_of(height: Floats, pixel: float, spectrum: ReliefSpectrum, highest: floa
     displacement = _followed(tile, pixel, spectrum, highest, (rows, columns))
     level = float(f"{np.abs(displacement).max() / (TOP_LEVEL - 1):.5g}")
     return SkinMap(
-        width_mm=tile.shape[1] * pixel * 1e3,
-        height_mm=tile.shape[0] * pixel * 1e3,
+        width_mm=float(f"{tile.shape[1] * pixel * 1e3:.9g}"),
+        height_mm=float(f"{tile.shape[0] * pixel * 1e3:.9g}"),
         columns=columns,
         rows=rows,
         um_per_level=level * 1e6,

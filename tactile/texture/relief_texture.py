@@ -53,6 +53,8 @@ ROUNDING = 0.5
 [gray levels]."""
 NEAR_ROUNDING_DB = 6.0
 """Level above that of rounding below which a band is reported as mostly rounding [dB]."""
+WHOLE = 0.64
+"""Smallest share of the area of a picture that a map of all of it has."""
 UM = 1e6
 """Micrometers per meter."""
 SPEED_MM_S, FORCE_N = 40.0, 0.5
@@ -224,7 +226,7 @@ def _map(
     finest = [float(np.hypot(*g.frequency)) * len(g.amplitude) for g in gratings]
     highest = EDGES[max(bands, *np.searchsorted(EDGES, finest), 0)]
     played = map_of(height, relief.pixel, spectrum, float(highest))
-    if max(played.width_mm, played.height_mm) < 0.75e3 * relief.side:
+    if played.width_mm * played.height_mm < WHOLE * height.size * (relief.pixel * 1e3) ** 2:
         notes.append(
             f"the map is the middle of the picture: up to {highest * 1e-3:.3g} cycles/mm, a file "
             f"holds {played.width_mm:.3g} × {played.height_mm:.3g} mm"

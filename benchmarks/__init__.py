@@ -22,6 +22,7 @@ from benchmarks.fuzz import measure_fuzz
 from benchmarks.fuzz_server import measure_fuzz_server
 from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
+from benchmarks.maps import measure_maps
 from benchmarks.optimize import measure_optimize
 from benchmarks.protocol import measure_protocol
 from benchmarks.realism import measure_realism
@@ -46,6 +47,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "friction": measure_friction,
     "bands": measure_bands,
     "place": measure_place,
+    "maps": measure_maps,
     "speed": measure_speed,
     "startup": measure_startup,
     "spectrum": measure_spectrum,

@@ -65,10 +65,14 @@ def along(degrees: float, spread: float) -> Callable[[Floats, Floats], Floats]:
     return shape
 
 
-def made(height: Floats, pixel: float = PIXEL, level: float = LEVEL) -> Relief:
+def made(
+    height: Floats, pixel: float = PIXEL, level: float = LEVEL, *, with_map: bool = False
+) -> Relief:
     """Return the texture of heights, rounded to gray levels as a picture would."""
     relief = HeightMap(np.round(height / level) * level, pixel, level)
-    return texture_of(relief, name="some-relief", category="test", picture="some.png")
+    return texture_of(
+        relief, name="some-relief", category="test", picture="some.png", with_map=with_map
+    )
 
 
 def bands_of(result: Relief) -> Floats:

@@ -9,7 +9,16 @@ from scipy.signal import welch
 from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.texture.density import Density
-from tactile.texture.field import PIXELS, THIRD, Field, FieldReader, field_of, lattice, pitch_of
+from tactile.texture.field import (
+    PIXELS,
+    THIRD,
+    Field,
+    FieldReader,
+    field_of,
+    field_of_rectangle,
+    lattice,
+    pitch_of,
+)
 from tactile.texture.surface import load_texture
 
 HIGHEST, LOWEST = 9e3, 3e2
@@ -226,3 +235,45 @@ def test_waves_in_nearly_one_direction_are_left_to_plane_waves() -> None:
 def test_a_surface_without_power_has_no_field() -> None:
     rng = np.random.default_rng(0)
     assert Density(np.array([1e3, 1.26e3]), np.zeros(2), 0.0, None).drawn(rng) == ()
+
+
+SIDE = np.array([13e-3, 9.1e-3])
+"""Sides of a rectangle [m]."""
+PIXELS_OF_IT = np.random.default_rng(4).normal(size=(90, 130))
+"""Displacement of its pixels [m]."""
+FINEST = 4.9e3
+"""Highest spatial frequency of the rectangle along x and y, of 4945 and 5000 [cycles/m]."""
+RECTANGLE = field_of_rectangle(PIXELS_OF_IT, SIDE, FINEST)
+
+
+def transformed(place: Floats, end: float) -> Floats:
+    """Return the Fourier series of the rectangle's pixels, below an end [cycles/m], at places."""
+    rows, columns = PIXELS_OF_IT.shape
+    y = np.fft.fftfreq(rows, SIDE[1] / rows)
+    x = np.fft.fftfreq(columns, SIDE[0] / columns)
+    waves = np.fft.fft2(PIXELS_OF_IT) / PIXELS_OF_IT.size
+    waves *= (np.abs(x) < end) & (np.abs(y)[:, None] < end)
+    up = np.exp(2j * np.pi * np.outer(place[:, 1], y))
+    return np.asarray(np.sum((up @ waves) * np.exp(2j * np.pi * np.outer(place[:, 0], x)), 1).real)
+
+
+@pytest.mark.parametrize("level", [0, 1, 3, 8, 13])
+def test_each_level_of_a_rectangle_is_the_fourier_series_of_its_pixels(level: int) -> None:
+    """Images of the spline are 38 dB down at most, in a corner for each of two directions."""
+    place, end = scatter(300), FINEST * THIRD**level
+    exact = transformed(place, end)
+    played = read(RECTANGLE, place, PASS_BAND / end * (1 + 1e-9))
+    assert rms(played - exact) < 10 ** (-35 / 20) * rms(exact)
+
+
+def test_a_rectangle_repeats_along_x_and_y() -> None:
+    place = scatter(50)
+    for step in ([SIDE[0], 0], [0, -3 * SIDE[1]], [-2 * SIDE[0], SIDE[1]]):
+        assert np.abs(RECTANGLE.at(place + step) - RECTANGLE.at(place)).max() < 1e-5
+
+
+def test_contactors_read_a_rectangle_at_their_places() -> None:
+    place, contactors = scatter(40), scatter(30) * 0.01
+    shear = np.zeros((40, 30), np.float32)
+    FieldReader(RECTANGLE, contactors, band=PASS_BAND).add_to(shear, place.T, np.zeros(40))
+    assert np.abs(shear - RECTANGLE.at(place[:, None] + contactors)).max() < 1e-4

@@ -58,7 +58,7 @@ def unpacked(text: str, rows: int, columns: int) -> NDArray[np.int16]:
     """
     size, reader = 2 * rows * columns, zlib.decompressobj()
     try:
-        compressed = base64.b64decode("".join(text.split()), validate=True)
+        compressed = base64.b64decode("".join(text.split()).encode("ascii"), validate=True)
         content = reader.decompress(compressed, size + 1)
     except (binascii.Error, UnicodeError) as error:
         raise ValueError(f"pixels: not base64, or cut short: {error}") from error

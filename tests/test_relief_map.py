@@ -30,7 +30,7 @@ BANDS = EDGES[:17]
 
 def within_bands(number: Floats, direction: Floats) -> Floats:
     """Return an isotropic spectrum without waves coarser than the bands, which leak into rows."""
-    return isotropic(number, direction) * (number > EDGES[0])
+    return np.asarray(isotropic(number, direction) * (number > EDGES[0]))
 
 
 def stored(result: Relief, folder: Path) -> Texture:
@@ -272,7 +272,7 @@ def test_a_file_holds_the_middle_of_a_large_fine_picture() -> None:
 def text_with(**changes: object) -> str:
     """Return the text of a file with a map of 20 × 20 pixels, some keys of it changed."""
     table: dict[str, object] = {
-        "width_mm": 1.0, "height_mm": 1.0, "columns": 20, "rows": 20, "um_per_level": 1e-4,
+        "width_mm": 1.0, "height_mm": 1.0, "columns": 20, "rows": 20, "level_um": 1e-4,
         "pixels": packed(np.arange(400, dtype=np.int16).reshape(20, 20)),
     } | changes  # fmt: skip
     plain = as_toml(tactile.load_texture("wood-oak").descriptor).replace("wood-oak", "some-relief")
@@ -300,7 +300,7 @@ PIXELS = packed(np.arange(400, dtype=np.int16).reshape(20, 20))
         ({"rows": 21}, r"map\.pixels: hold 400 of 20 × 21 pixels: cut short, or of another map"),
         ({"rows": 19}, r"map\.pixels: hold more than 20 × 19 pixels"),
         ({"columns": 6000, "rows": 6000}, r"map\.columns = 6000: times 6000 rows is more than 26"),
-        ({"um_per_level": float("nan")}, r"map\.um_per_level = nan: must be a finite number"),
+        ({"level_um": float("nan")}, r"map\.level_um = nan: must be a finite number"),
         (
             {"width_mm": 4.0},
             r"map: resolves 2\.5 cycles/mm: needs 8\.9\d?, where \[stochastic\] en",

@@ -382,7 +382,7 @@ def amplified(texture: Texture, gain: float) -> Texture:
         structs.replace(p, harmonics_um=tuple(gain * h for h in p.harmonics_um)) for p in d.periodic
     )
     events = tuple(structs.replace(e, amplitude_um=gain * e.amplitude_um) for e in d.events)
-    played = d.map and structs.replace(d.map, um_per_level=gain * d.map.um_per_level)
+    played = d.map and structs.replace(d.map, level_um=gain * d.map.level_um)
     return replace(
         texture,
         amplitude=gain * texture.amplitude,

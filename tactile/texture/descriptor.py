@@ -236,7 +236,7 @@ class SkinMap(_Part, frozen=True, kw_only=True):
         Number of pixels along x.
     rows : int
         Number of pixels along y. There are at most 262 144 pixels.
-    um_per_level : float
+    level_um : float
         Displacement of one level; pixels have levels of −32 767 to 32 767.
     pixels : str
         Levels, row by row from the lowest y on, as written by `tactile relief --map`.
@@ -246,7 +246,7 @@ class SkinMap(_Part, frozen=True, kw_only=True):
     height_mm: Annotated[float, Meta(ge=1, le=1000)]
     columns: Annotated[int, Meta(ge=16, le=16384)]
     rows: Annotated[int, Meta(ge=16, le=16384)]
-    um_per_level: Annotated[float, Meta(ge=0, le=0.02)]
+    level_um: Annotated[float, Meta(ge=0, le=0.02)]
     pixels: str
 
     def __post_init__(self) -> None:
@@ -266,7 +266,7 @@ class SkinMap(_Part, frozen=True, kw_only=True):
     def displacement(self) -> Floats:
         """Displacement of each pixel, (rows, columns) [m]."""
         levels = unpacked(self.pixels, self.rows, self.columns)
-        return levels.astype(np.float64) * (self.um_per_level * 1e-6)
+        return levels.astype(np.float64) * (self.level_um * 1e-6)
 
 
 class Laws(_Part, frozen=True, kw_only=True):

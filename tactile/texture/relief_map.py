@@ -28,6 +28,8 @@ STRIP = 0.1
 """Width of the strip that is blended, as a share of the side of the picture."""
 FULL = 0.98
 """Share of the largest number of pixels that is used, which leaves room for rounding up."""
+LEAST = 1e-12
+"""Least range of the levels, for a picture without waves in the bands [m]."""
 TOP_LEVEL = 32767
 """Level of the largest displacement."""
 
@@ -54,13 +56,13 @@ def map_of(height: Floats, pixel: float, spectrum: ReliefSpectrum, highest: floa
     tile = _blended(_blended(_middle(height, 2 * highest * pixel)).T).T
     rows, columns = (2 * math.floor(n * pixel * highest) + 2 for n in tile.shape)
     displacement = _followed(tile, pixel, spectrum, highest, (rows, columns))
-    level = float(f"{np.abs(displacement).max() / (TOP_LEVEL - 1):.5g}")
+    level = float(f"{max(np.abs(displacement).max(), LEAST) / (TOP_LEVEL - 1):.5g}")
     return SkinMap(
         width_mm=float(f"{tile.shape[1] * pixel * 1e3:.9g}"),
         height_mm=float(f"{tile.shape[0] * pixel * 1e3:.9g}"),
         columns=columns,
         rows=rows,
-        um_per_level=level * 1e6,
+        level_um=level * 1e6,
         pixels=packed(np.rint(displacement / level).astype(np.int16)),
     )
 

@@ -167,3 +167,20 @@ def test_the_command_writes_a_texture_that_can_be_played_and_tells_what_it_found
     shown = f"every {written.periodic[0].wavelength_mm:.4g} mm across"
     for word in (shown, "accurate to a factor of 2", "Bands along a stroke"):
         assert word in " ".join(told.split())
+
+
+def test_the_command_writes_a_map_of_the_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    height = field(8, along(0, 15), 3e-6)
+    gray = np.round((height - height.min()) / 10e-9).astype(np.uint16)
+    picture, output = save(tmp_path / "board.png", gray), tmp_path / "my-board.toml"
+    scales = ("--um-per-level", 0.01, "--mm-per-pixel", 0.0535, "--category", "wood")
+    relief_command(picture, "-o", output, *scales, "--map", "--json")
+    facts, played = json.loads(capsys.readouterr().out), descriptors.load(output).map
+    assert played is not None
+    assert facts["map"]["columns"] == played.columns
+    assert 16 < facts["map"]["width_mm"] < 19
+    relief_command(picture, "-o", output, *scales, "--map", "--force")
+    size = f"× {played.height_mm:.3g} mm in {played.columns} × {played.rows} pixels"
+    assert size in " ".join(capsys.readouterr().out.split())

@@ -4,7 +4,7 @@ Third octaves are the exact base-10 ones here (IEC 61260-1).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ WITH_BANDS = ["leather-calf", "leather-suede", "plastic-abs-vdi27", "plastic-acr
               "wood-oak", "wood-pine-sanded"]  # fmt: skip
 
 
-def write(path: Path, **tables: Mapping[str, object] | list[Mapping[str, object]]) -> Path:
+def write(path: Path, **tables: Mapping[str, object] | Sequence[Mapping[str, object]]) -> Path:
     """Write a descriptor of the given tables and return its path."""
     lines = [
         f'[texture]\nid = "{path.stem}"\ncategory = "test"\ndescription = ""',
@@ -31,8 +31,8 @@ def write(path: Path, **tables: Mapping[str, object] | list[Mapping[str, object]
         "[reference]\nspeed_mm_s = 40.0\nnormal_force_n = 0.5",
     ]
     for name, content in tables.items():
-        for table in content if isinstance(content, list) else [content]:
-            lines.append(f"[[{name}]]" if isinstance(content, list) else f"[{name}]")
+        for table in [content] if isinstance(content, Mapping) else content:
+            lines.append(f"[{name}]" if isinstance(content, Mapping) else f"[[{name}]]")
             lines += [f"{k} = {v!r}".replace("(", "[").replace(")", "]") for k, v in table.items()]
     path.write_text("\n".join(lines))
     return path

@@ -26,7 +26,7 @@ from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, RESTING_SPEED, Stroke
 from tactile.texture.field import FieldReader
-from tactile.texture.surface import Texture
+from tactile.texture.surface import Texture, envelope_scale
 
 PHASORS = 8192
 """Number of phasors in the table, a power of two."""
@@ -133,10 +133,10 @@ class RealizedLayer:
         self._roll_off = _RollOff(partials.wave_vector)
         self._bands = 2 * (len(partials.amplitude) - surface.gratings)
         self._to_shear = _interleaved(partials.phasors(contactors))
-        mean = float(np.exp(-np.sum(surface.envelope.amplitude**2) / 2))
-        self._to_shear[: self._bands] *= mean
+        scale = envelope_scale(surface.envelope)
+        self._to_shear[: self._bands] *= scale
         self._fields = [
-            FieldReader(field, contactors, band=equalizer.PASS_BAND, gain=mean)
+            FieldReader(field, contactors, band=equalizer.PASS_BAND, gain=scale)
             for field in realized.fields
         ]
         self._density, self._is_map = realized.density, realized.map is not None

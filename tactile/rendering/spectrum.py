@@ -56,7 +56,7 @@ from tactile.rendering.limiter import RELEASE
 from tactile.rendering.renderer import FASTEST
 from tactile.rendering.shear import Law
 from tactile.rendering.stroke import FARTHEST, RESTING_SPEED
-from tactile.texture.surface import Texture
+from tactile.texture.surface import Texture, envelope_scale
 
 HIGHEST = 1e3 * 10**0.05
 """Upper end of the third octave at 1 kHz and of the last sub-band [Hz]; what is above, rolled off,
@@ -472,5 +472,5 @@ class SpectrumRenderer:
         now, growth = log.sum(axis=0).real, (1j * signed @ log).real
         mean_square = np.sum(slow.amplitude**2) / 2
         omega = math.sqrt(np.sum((slow.amplitude * signed) ** 2) / max(2 * mean_square, 1e-12))
-        rise = np.exp(now - mean_square)
+        rise = envelope_scale(slow) * np.exp(now)
         return rise, now / 2, growth / (2j * max(omega, 1e-12)), omega / (2 * np.pi)

@@ -3,10 +3,10 @@
 A plane wave of wave vector k sounds at |k·v|/2π. The waves of a grating have half their squared
 amplitude as power, times the square of the laws of speed and force, rolled off above 1 kHz. The
 random part has the power of its density that a stroke meets in each interval of frequency, with the
-levels that its field plays. The envelope exp(g − ⟨g²⟩), of mean
-square 1, leaves exp(−var g) of that power at the wave's frequency and moves the rest into sidebands
-at the frequencies of g's waves (the first order, which here takes the small power of the higher
-ones as well).
+levels that its field plays. The envelope exp(g), scaled to the mean square 1, leaves I₀(a)²/I₀(2a)
+of that power at the wave's frequency for each of g's waves a, and moves the rest into sidebands at
+the frequencies of g's waves (the first order, which here takes the small power of the higher ones
+as well).
 
 Sparse events have the expected spectrum of `tactile.texture.event_power`.
 """
@@ -14,6 +14,7 @@ Sparse events have the expected spectrum of `tactile.texture.event_power`.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import i0
 
 from tactile.arrays import Floats
 from tactile.rendering.equalizer import PASS_BAND, roll_off
@@ -160,7 +161,7 @@ def _modulated(plain: LineSpectrum, envelope: Partials, velocity: Floats) -> Lin
     if not len(envelope.amplitude):
         return plain
     variance = envelope.amplitude**2 / 2
-    remaining = np.exp(-variance.sum())
+    remaining = np.prod(i0(envelope.amplitude) ** 2 / i0(2 * envelope.amplitude))
     offset = envelope.wave_vector @ velocity / (2 * np.pi)
     share = (1 - remaining) * variance / variance.sum() / 2
     moved = np.concatenate([[0.0], offset, -offset])

@@ -123,9 +123,9 @@ class Stochastic(_Part, frozen=True, kw_only=True):
     excess_kurtosis : float
         Excess kurtosis of this part's displacement within the bands: 0 is Gaussian, more is
         spikier. An envelope of depth d alone brings 3 ((1 + d²)⁴ − 1), and less cannot be had
-        with it.
+        with it. What ``[[modulation]]`` adds does not count.
     am_depth : float
-        Standard deviation ÷ mean of the envelope below its corner.
+        Standard deviation ÷ mean of the envelope below its corner, without ``[[modulation]]``.
     am_corner_per_mm : float
         Highest spatial frequency of the envelope, in cycles/mm.
     direction_deg : float
@@ -157,6 +157,27 @@ class Stochastic(_Part, frozen=True, kw_only=True):
         ratio = np.divide(self.frequency_per_mm[1:], self.frequency_per_mm[:-1])
         if np.any(np.abs(ratio / THIRD_OCTAVE - 1) > 0.05):
             raise ValueError("frequency_per_mm must ascend in third octaves (× 1.26 each)")
+
+
+class Modulation(_Part, frozen=True, kw_only=True):
+    """Table ``[[modulation]]``: a periodic envelope of the random part, as ribs and dots make it.
+
+    The envelope is exp(a cos 2πx/λ), scaled to a mean square of one so that bands keep their
+    levels. It is strongest where a grating of the same wavelength and a phase of 0 peaks.
+
+    Attributes
+    ----------
+    wavelength_mm : float
+        Period λ of the envelope.
+    depth : float
+        Amplitude of the envelope's fundamental ÷ its mean, 2 I₁(a)/I₀(a).
+    direction_deg : float
+        Direction across the pattern.
+    """
+
+    wavelength_mm: Annotated[float, Meta(ge=0.2, le=100)]
+    depth: Annotated[float, Meta(gt=0, le=1)]
+    direction_deg: Degrees = 0.0
 
 
 class Periodic(_Part, frozen=True, kw_only=True):
@@ -345,7 +366,8 @@ class Descriptor(_Part, frozen=True, kw_only=True):
     textures](/generated/textures.md) page tells how to write one and how the shipped ones came to
     be.
 
-    At least one of ``stochastic``, ``periodic`` and ``events`` must be given.
+    At least one of ``stochastic``, ``periodic`` and ``events`` must be given, and ``stochastic`` if
+    there is a ``modulation``.
 
     Attributes
     ----------
@@ -355,6 +377,8 @@ class Descriptor(_Part, frozen=True, kw_only=True):
         Speed and force for which the numbers hold.
     stochastic : Stochastic or None
         Random part, default None.
+    modulation : tuple of Modulation
+        Periodic envelopes of the random part, default none.
     periodic : tuple of Periodic
         Gratings, default none.
     events : tuple of Events
@@ -370,6 +394,7 @@ class Descriptor(_Part, frozen=True, kw_only=True):
     texture: About
     reference: Reference
     stochastic: Stochastic | None = None
+    modulation: tuple[Modulation, ...] = ()
     periodic: tuple[Periodic, ...] = ()
     events: tuple[Events, ...] = ()
     laws: Laws = Laws()
@@ -379,6 +404,8 @@ class Descriptor(_Part, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.stochastic is None and not self.periodic and not self.events:
             raise ValueError("needs at least one of [stochastic], [[periodic]], [[events]]")
+        if self.stochastic is None and self.modulation:
+            raise ValueError("[[modulation]] has nothing to modulate; needs [stochastic]")
         if self.map is not None:
             _check_map(self.map, self.stochastic, self.periodic)
 

@@ -27,6 +27,7 @@ from tactile.texture.surface import (
     Surface,
     density_of,
     envelope,
+    envelope_scale,
     scatter,
     stochastic_waves,
 )
@@ -315,8 +316,7 @@ def rendered_strokes(stochastic: Stochastic, center: Floats) -> tuple[Floats, fl
 
     def stroke() -> Floats:
         place = rng.uniform(-1, 1, 2) + way
-        swell = np.exp(slow.at(place) - np.sum(slow.amplitude**2) / 2)
-        return surface.random_part(place) * swell
+        return surface.random_part(place) * envelope_scale(slow) * np.exp(slow.at(place))
 
     return np.stack([stroke() for _ in range(STROKES)]), float(step)
 

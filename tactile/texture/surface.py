@@ -27,8 +27,8 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import nnls
-from scipy.special import ndtri
+from scipy.optimize import brentq, nnls
+from scipy.special import i0, i0e, i1, ndtri
 
 from tactile.arrays import Complex, Floats
 from tactile.errors import InputError
@@ -36,7 +36,15 @@ from tactile.files import SourceFile, find, read_text
 from tactile.texture import descriptor as descriptors
 from tactile.texture.bands import third_octaves
 from tactile.texture.density import Density
-from tactile.texture.descriptor import Descriptor, Events, Laws, Periodic, SkinMap, Stochastic
+from tactile.texture.descriptor import (
+    Descriptor,
+    Events,
+    Laws,
+    Modulation,
+    Periodic,
+    SkinMap,
+    Stochastic,
+)
 from tactile.texture.field import Field, field_of_rectangle
 
 GOLDEN = (np.sqrt(5) - 1) / 2
@@ -149,8 +157,8 @@ class Surface:
     partials : Partials
         All waves of skin displacement, those of gratings last.
     envelope : Partials
-        Slow waves g, without unit, whose sum is the exponent of the positive envelope that
-        multiplies the waves outside of gratings.
+        Waves g, without unit, whose sum is the exponent of the positive envelope that multiplies
+        the waves outside of gratings.
     event_place : (E, 2) array of float
         Places of the sparse events within one tile [m].
     event_peak : (E,) array of float
@@ -302,7 +310,7 @@ class Texture:
         scaled = Partials(partials.wave_vector, partials.amplitude * scale, partials.phase)
         return Surface(
             scaled,
-            envelope(self.descriptor.stochastic, rng),
+            envelope(self.descriptor.stochastic, rng) + modulating(self.descriptor.modulation),
             *scatter(self.descriptor.events, Surface.tile, rng),
             gratings=len(partials.amplitude) - len(self.amplitude),
             map=self.descriptor.map,
@@ -682,7 +690,7 @@ def grating(part: Periodic, rng: np.random.Generator) -> Partials:
 
 
 def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partials:
-    """Draw the waves g of the envelope exp(g − ⟨g²⟩), whose mean square is one.
+    """Draw the slow waves and the bursts of the exponent g of an envelope exp(g).
 
     Slow waves are spread evenly along a stroke from zero to the AM corner, and bursts lie above it.
     On an isotropic surface their wave vectors point in all directions, on a surface with a
@@ -721,6 +729,51 @@ def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partial
                 rng.uniform(0, 2 * np.pi, ENVELOPE_WAVES),
             )
     return total
+
+
+def modulating(parts: tuple[Modulation, ...]) -> Partials:
+    """Compute the waves of periodic envelopes, each a cos of phase 0 at the origin.
+
+    The envelope exp(a cos φ) has the mean I₀(a) and the fundamental 2 I₁(a) (Abramowitz & Stegun,
+    9.6.34).
+
+    Parameters
+    ----------
+    parts : tuple of Modulation
+        Periodic envelopes of a descriptor.
+
+    Returns
+    -------
+    Partials
+        Waves without unit.
+    """
+    if not parts:
+        return Partials(*_no_waves(), np.zeros(0))
+    amplitude = [brentq(lambda a, d=p.depth: 2 * i1(a) / i0(a) - d, 0.0, 2.0) for p in parts]
+    number = 2 * np.pi * PER_MM / np.array([p.wavelength_mm for p in parts])
+    turn = np.radians([p.direction_deg for p in parts])
+    vector = number[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return Partials(vector, np.array(amplitude), np.zeros(len(parts)))
+
+
+def envelope_scale(waves: Partials) -> float:
+    """Compute the factor that brings the envelope exp(g) to a mean square of one.
+
+    A wave of amplitude a brings the mean square ⟨exp(2a cos φ)⟩ = I₀(2a), independent of the
+    others.
+
+    Parameters
+    ----------
+    waves : Partials
+        Waves of g, without unit.
+
+    Returns
+    -------
+    float
+        Factor 1/√∏ I₀(2a), 1 without waves.
+    """
+    twice = 2 * waves.amplitude
+    return float(np.exp(-np.sum(np.log(i0e(twice)) + twice) / 2))
 
 
 def _variances(stochastic: Stochastic, low_share: float) -> tuple[float, float]:

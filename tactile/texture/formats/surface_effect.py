@@ -146,7 +146,7 @@ def _losses(texture: Descriptor, speed: float, reach: float, share: float) -> li
     if texture.texture.category not in KEYWORDS:
         lost.append(f"MPEG has no texture keyword for {texture.texture.category}: none is written")
     stochastic = texture.stochastic
-    if stochastic and (stochastic.am_depth or stochastic.excess_kurtosis):
+    if stochastic and (stochastic.am_depth or stochastic.excess_kurtosis or texture.modulation):
         lost.append("amplitude modulation and kurtosis are left out: the waves are steady")
     if texture.events:
         lost.append("sparse events are left out")

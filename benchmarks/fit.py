@@ -12,7 +12,7 @@ slide.
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,9 +27,9 @@ from tactile.display.display import load_display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.renderer import render
 from tactile.texture import measures
-from tactile.texture.descriptor import About
+from tactile.texture.descriptor import About, Descriptor, Events, Reference, Stochastic
 from tactile.texture.descriptor_file import write
-from tactile.texture.fitting import Fit, RecordingMeasures, describe, measure_slides
+from tactile.texture.fitting import RecordingMeasures, describe, measure_slides
 from tactile.texture.judging import fit_texture, predict, rendered_strokes
 from tactile.texture.recorded_slide import Recorded, load_recorded
 from tactile.texture.surface import Texture, load_texture
@@ -39,6 +39,9 @@ ABOUT = About(
     license="CC0-1.0",
 )  # fmt: skip
 """Description of the fitted textures."""
+CLICKS = (0.2, 14.0, 0.5), (0.1, 20.0, 0.3), (0.05, 30.0, 0.4)
+"""Density [1/mm²], median peak [µm] and spread of the logarithm of synthetic clicks. Strokes of
+120 mm over them have a median excess kurtosis of about 10, as those over polypropylene have."""
 BIOTAC_SPEED = 0.019
 """Speed of the slides [m/s]."""
 BIOTAC_STEADY = slice(1320, 7920)
@@ -119,11 +122,11 @@ def acceleration(shear: Floats) -> Floats:
     return np.fft.irfft(-np.fft.rfft(shear, axis=0) * omega[:, None] ** 2, len(shear), axis=0)
 
 
-def texture_of_fit(fit: Fit) -> Texture:
-    """Return a fitted texture as a user gets it, through its file."""
+def texture_of(descriptor: Descriptor) -> Texture:
+    """Return a texture as a user gets it, through its file."""
     with TemporaryDirectory() as target:
         file = Path(target) / f"{ABOUT.id}.toml"
-        write(fit.descriptor, file)
+        write(descriptor, file)
         return load_texture(file)
 
 
@@ -149,7 +152,7 @@ def rendered_errors(
         Level of the strokes above that of each recording in the bands of `THIRDS` [dB].
     """
     fit = describe(measure_slides([fabric(folder, name, key) for key in seen]), ABOUT)
-    texture = texture_of_fit(fit)
+    texture = texture_of(fit.descriptor)
     display, errors = load_display("reference-24"), []
     for key in unseen:
         recorded, speed = fabric(folder, name, key), FABRICS[key]
@@ -166,6 +169,7 @@ def rendered_errors(
 def measure_fit() -> Iterator[Figure]:
     """Measure speed, and if there are recordings distance, identification and prediction."""
     yield _speed()
+    yield from _clicked()
     folder = recordings()
     if folder is None:
         reason = "needs recordings: set TACTILE_DATA to a folder with biotac and textsense"
@@ -211,6 +215,67 @@ def _distances(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:
             yield at_most("fit.biotac.held_out_absolute", absolute, "dB", 1.4)
         else:
             yield Figure(f"fit.biotac.{name}", rms, "dB rms")
+
+
+def clicking(density: float, amplitude: float, spread: float) -> Texture:
+    """Return a texture of noise that falls by 6 dB per octave of density, with clicks of 0.2 mm."""
+    center = 10 ** (np.arange(-3, 15) / 10)
+    stochastic = Stochastic(
+        frequency_per_mm=tuple(center.tolist()), level_db=tuple((-20 * np.log10(center)).tolist())
+    )
+    event = Events(
+        density_per_mm2=density, amplitude_um=amplitude, amplitude_sd=spread, width_mm=0.2
+    )
+    reference = Reference(speed_mm_s=40, normal_force_n=0.5)
+    return texture_of(
+        Descriptor(texture=ABOUT, reference=reference, stochastic=stochastic, events=(event,))
+    )
+
+
+def strokes_over(texture: Texture, surfaces: Iterable[int]) -> list[Recorded]:
+    """Return strokes of 3 s at 40 mm/s under every fourth contactor, as recordings.
+
+    Their direction does not come back to the same place of a tile of events.
+    """
+    path = Trajectory.line(speed=0.04, duration=3 + 2 * SKIPPED / RATE, angle=0.5)
+    display, slides = load_display("reference-24"), []
+    for seed in surfaces:
+        shear = render(display, texture, path, seed=seed).shear[SKIPPED:-SKIPPED, ::4]
+        slides += [
+            Recorded(
+                name=f"{seed}", signal=u.astype(np.float64), quantity="displacement",
+                sample_rate=RATE, speed=np.full(len(u), 0.04),
+            )
+            for u in shear.T
+        ]  # fmt: skip
+    return slides
+
+
+def _clicked() -> Iterator[Figure]:
+    """Yield how the kurtosis of strokes over fitted clicks compares with that of the clicks."""
+    ratios = []
+    for kind in CLICKS:
+        low, median, high = np.quantile(click_kurtosis(clicking(*kind)), [0.25, 0.5, 0.75], axis=1)
+        ratios.append([median[1] / median[0], (high - low)[1] / (high - low)[0]])
+    for name, ratio in zip(("median", "spread"), np.transpose(ratios), strict=True):
+        error = float(np.mean(np.abs(np.log(ratio))))
+        yield at_most(f"fit.clicks.kurtosis_{name}", float(np.expm1(error)), "relative", 0.4)
+
+
+def click_kurtosis(texture: Texture) -> tuple[Floats, Floats]:
+    """Return the excess kurtosis of strokes (R,) over a texture, and over one that is fitted."""
+    slides = strokes_over(texture, (0, 1))
+    measured = measure_slides(slides)
+    fitted = texture_of(describe(measured, ABOUT).descriptor)
+    center, step = measured.center[measured.core], 0.04 / RATE
+    first, second = (
+        np.array([
+            measures.excess_kurtosis(slide.signal, step, center=center)
+            for slide in strokes_over(one, range(2, 12))
+        ])
+        for one in (texture, fitted)
+    )  # fmt: skip
+    return first, second
 
 
 def _identified(materials: dict[str, RecordingMeasures]) -> Iterator[Figure]:

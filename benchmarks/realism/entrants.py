@@ -17,7 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.fit import ABOUT, texture_of_fit
+from benchmarks.fit import ABOUT, texture_of
 from benchmarks.realism.features import SKIN, resampled
 from benchmarks.rendering import SKIPPED, first_contactors
 from tactile.arrays import Floats
@@ -79,7 +79,7 @@ class RenderedTexture:
         self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
     ) -> list[Recorded]:
         """Render strokes over a fitted texture, each over another surface; see `Entrant`."""
-        texture = texture_of_fit(describe(measure_slides(train), ABOUT))
+        texture = texture_of(describe(measure_slides(train), ABOUT).descriptor)
         return rendered_over(texture, train, speed, duration, rng.integers(1 << 31, size=count))
 
 

@@ -29,7 +29,13 @@ from tactile.texture.bands import nominal_centers, third_octaves
 from tactile.texture.descriptor import Events, Periodic
 from tactile.texture.event_power import power_below
 from tactile.texture.perception import band_sensation, detection_threshold
-from tactile.texture.surface import Partials, Surface, Texture, without_friction
+from tactile.texture.surface import (
+    Partials,
+    Surface,
+    Texture,
+    envelope_scale,
+    without_friction,
+)
 
 BANDS = 34
 """Number of third octaves, from 1 Hz to 2 kHz."""
@@ -315,8 +321,7 @@ def surface_patch(
     for random in surface.fields:
         field += random.at(np.stack(np.meshgrid(place, place), axis=-1))
     if len(beside.envelope.amplitude):
-        mean_square = np.sum(beside.envelope.amplitude**2) / 2
-        field *= np.exp(_waves_on(beside.envelope, place) - mean_square)
+        field *= envelope_scale(beside.envelope) * np.exp(_waves_on(beside.envelope, place))
     field += _waves_on(gratings, place)
     if len(surface.event_peak):
         field += _events_on(surface, texture.descriptor.events, place)

@@ -1,11 +1,11 @@
-"""Fit of a descriptor to recordings: bands, gratings, statistics, laws and friction.
+"""Fit of a descriptor to recordings: bands, gratings, events, statistics, laws and friction.
 
 Each recording becomes strokes of displacement over place. Lines that recordings at different speeds
-share are gratings and are subtracted. The rest is measured in third octaves of spatial frequency,
-from 10 Hz at the fastest speed to 800 Hz at the slowest or at 20 mm/s, and the noise of the sensor
-is subtracted as power. The differences between the levels at different speeds and forces give the
-exponents, which are held near known values where the recordings tell little. What remains from
-recording to recording is the spread of the bands.
+share are gratings and are subtracted, and then sparse clicks. The rest is measured in third octaves
+of spatial frequency, from 10 Hz at the fastest speed to 800 Hz at the slowest or at 20 mm/s, and
+the noise of the sensor is subtracted as power. The differences between the levels at different
+speeds and forces give the exponents, which are held near known values where the recordings tell
+little. What remains from recording to recording is the spread of the bands.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,9 +20,12 @@ from tactile.arrays import Floats
 from tactile.errors import InputError
 from tactile.texture import measures
 from tactile.texture.bands import BELOW, third_octaves
+from tactile.texture.clicks import Clicks, find_clicks
 from tactile.texture.descriptor import (
+    FEWEST_BANDS,
     About,
     Descriptor,
+    Events,
     Friction,
     Laws,
     Periodic,
@@ -141,7 +144,7 @@ class Slide:
     strokes : list of (S,) array of float
         Displacement at even steps of place [m].
     bare : list of (S,) array of float
-        Strokes without their gratings [m].
+        Strokes without their gratings and clicks [m].
     """
 
     recorded: Recorded
@@ -172,6 +175,8 @@ class RecordingMeasures:
     lines : int
         Number of lines of recordings at a single speed, which tell no rib from a hum. They are left
         in the bands.
+    clicks : Clicks or None
+        Clicks of all strokes.
     """
 
     slides: list[Slide]
@@ -181,6 +186,7 @@ class RecordingMeasures:
     level: Floats
     gratings: list[HarmonicLines]
     lines: int
+    clicks: Clicks | None = None
 
     def part(self, rows: Sequence[int]) -> "RecordingMeasures":
         """Select some of the recordings.
@@ -193,8 +199,8 @@ class RecordingMeasures:
         Returns
         -------
         RecordingMeasures
-            Measurements of these recordings, at the same reference speed and with the same
-            gratings.
+            Measurements of these recordings, at the same reference speed, with the same gratings
+            and their own clicks.
         """
         owner = np.repeat(np.arange(len(self.slides)), [len(s.strokes) for s in self.slides])
         strokes = np.concatenate([np.flatnonzero(owner == k) for k in rows])
@@ -203,6 +209,7 @@ class RecordingMeasures:
             slides=[self.slides[k] for k in rows],
             level=self.level[list(rows)],
             gratings=[changed(g, heights=g.heights[strokes]) for g in self.gratings],
+            clicks=self.clicks and self.clicks.part(strokes),
         )
 
     @property
@@ -230,7 +237,7 @@ def measure_slides(
     reference_speed: float | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> RecordingMeasures:
-    """Measure the bands and gratings of recordings of one surface.
+    """Measure the bands, gratings and clicks of recordings of one surface.
 
     Parameters
     ----------
@@ -246,7 +253,7 @@ def measure_slides(
     Returns
     -------
     RecordingMeasures
-        Strokes, levels and gratings.
+        Strokes, levels, gratings and clicks.
 
     Raises
     ------
@@ -273,6 +280,10 @@ def measure_slides(
         slides, reference, step, center, np.zeros(0), gratings, 0 if differ(speed) else len(lines)
     )
     level = np.array([_level(s, measured, noise) for s in slides])
+    progress("clicks")
+    measured = _without_clicks(changed(measured, level=level))
+    if measured.clicks:
+        level = np.array([_level(s, measured, noise) for s in measured.slides])
     first = min(int(np.argmax(np.isfinite(level).any(axis=0))), measured.core.start)
     return changed(measured, center=center[first:], level=level[:, first:])
 
@@ -341,6 +352,23 @@ def _level(slide: Slide, measured: RecordingMeasures, noise: Recorded | None) ->
     edges = third_octaves(center) * slide.speed
     covered = (edges[:-1] >= 0.9 * LOWEST) & (edges[1:] <= 0.4 * slide.recorded.sample_rate)
     return np.where(covered, 10 * np.log10(np.maximum(power, 1e-30)), np.nan)
+
+
+def _without_clicks(measured: RecordingMeasures) -> RecordingMeasures:
+    """Return measurements with the clicks in the bands of `CORE`, and slides without them."""
+    covered = np.isfinite(measured.level[:, measured.core]).all(axis=0)
+    if np.count_nonzero(covered) < FEWEST_BANDS:
+        return measured
+    strokes = [u for slide in measured.slides for u in slide.bare]
+    ends = np.cumsum([len(slide.bare) for slide in measured.slides])
+    groups = [list(range(k - len(s.bare), k)) for s, k in zip(measured.slides, ends, strict=True)]
+    center = measured.center[measured.core][covered]
+    clicks, rest = find_clicks(strokes, measured.step, center, groups)
+    slides = [
+        changed(slide, bare=[rest[k] for k in group])
+        for slide, group in zip(measured.slides, groups, strict=True)
+    ]
+    return changed(measured, slides=slides, clicks=clicks)
 
 
 def _mean_power(strokes: list[Floats], measured: RecordingMeasures) -> Floats:
@@ -444,6 +472,7 @@ def describe(
         reference=reference,
         stochastic=stochastic,
         periodic=tuple(_periodic(g, gain) for g in measured.gratings),
+        events=_events(measured.clicks, gain),
         laws=laws,
         friction=_friction(measured.slides, reference, laws),
     )
@@ -579,6 +608,12 @@ def _periodic(grating: HarmonicLines, gain: Floats) -> Periodic:
         harmonics_um=tuple(_digits(h, 3) for h in heights),
         phases_deg=tuple(np.round(phases).tolist()),
     )
+
+
+def _events(clicks: Clicks | None, gain: Floats) -> tuple[Events, ...]:
+    """Return the events that strokes, brought to the reference by ``gain`` (R,), meet as clicks."""
+    events = clicks and clicks.events(gain)
+    return (events,) if events else ()
 
 
 def _laws(measured: RecordingMeasures, exponent: Floats) -> Laws:

@@ -259,7 +259,7 @@ def _clicked() -> Iterator[Figure]:
         ratios.append([median[1] / median[0], (high - low)[1] / (high - low)[0]])
     for name, ratio in zip(("median", "spread"), np.transpose(ratios), strict=True):
         error = float(np.mean(np.abs(np.log(ratio))))
-        yield at_most(f"fit.clicks.kurtosis_{name}", float(np.expm1(error)), "relative", 0.4)
+        yield at_most(f"fit.clicks.kurtosis_{name}", float(np.expm1(error)), "relative", 0.3)
 
 
 def click_kurtosis(texture: Texture) -> tuple[Floats, Floats]:

@@ -20,7 +20,7 @@ from tactile.texture.descriptor_file import as_toml
 from tactile.texture.picture import HeightMap
 from tactile.texture.relief import EDGES, leveled
 from tactile.texture.relief_texture import texture_of
-from tactile.texture.surface import Surface, Texture
+from tactile.texture.surface import Surface, Texture, envelope_scale
 
 COUNT, PIXEL, LEVEL = 400, 50e-6, 5e-9
 """Pixels along a side of a picture, their side and the height of a gray level [m]."""
@@ -96,7 +96,7 @@ def met(realized: Surface) -> Floats:
     along[::2, :, 0] = along[1::2, :, 1] = np.arange(COUNT) * PIXEL
     place = along + rng.uniform(0, 0.2, (STROKES, 1, 2))
     beside = realized.beside_fields
-    swell = np.exp(beside.envelope.at(place) - np.sum(beside.envelope.amplitude**2) / 2)
+    swell = envelope_scale(beside.envelope) * np.exp(beside.envelope.at(place))
     return np.asarray(realized.random_part(place) * swell + beside.split[1].at(place))
 
 

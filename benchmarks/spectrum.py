@@ -32,7 +32,13 @@ from tactile.rendering.renderer import Renderer, render
 from tactile.rendering.spectrum import SpectrumRenderer
 from tactile.strength.commanded import law_factor
 from tactile.strength.strength import amplified
-from tactile.texture.surface import Partials, Texture, load_texture, without_friction
+from tactile.texture.surface import (
+    Partials,
+    Texture,
+    envelope_scale,
+    load_texture,
+    without_friction,
+)
 
 SECONDS = 6.0
 """Duration of a stroke [s]."""
@@ -137,14 +143,14 @@ def wave_shear(texture: Texture, contactors: Floats, speed: float, count: int) -
     weight = roll_off(surface.partials.wave_vector[:, 0] * (speed / (2 * np.pi)))
     within = replace(surface.partials, amplitude=surface.partials.amplitude * weight)
     bands, gratings = replace(surface, partials=within).split
-    mean = np.sum(surface.envelope.amplitude**2) / 2
+    scale = envelope_scale(surface.envelope)
 
     def under(place: Floats) -> Floats:
         random, exponent, ribs = (
             along(replace(p, phase=p.phase + p.wave_vector @ place), step, count)
             for p in (bands, surface.envelope, gratings)
         )
-        return random * np.exp(exponent - mean) + ribs
+        return random * scale * np.exp(exponent) + ribs
 
     shear = np.stack([under(place) for place in contactors], axis=1)
     return law_factor(texture, speed, FORCE) * shear

@@ -70,11 +70,13 @@ def bus(ear: Ear) -> Iterator[AudioBus]:
 
 
 def sounding(codes: Floats) -> Floats:
-    """Return what comes from the first sound on."""
-    return codes[np.flatnonzero(codes.any(axis=1))[0] :]
+    """Return what comes from the last beginning of a sound on."""
+    sounds = np.asarray(codes.any(axis=1))
+    return codes[np.flatnonzero(sounds[1:] & ~sounds[:-1])[-1] + 1 :]
 
 
 def test_24_channels_are_heard_as_they_were_given(ear: Ear, bus: AudioBus) -> None:
+    """Compare the last play: those before it came late, as the bus has counted."""
     volts = play(bus, block=BLOCK)
     wait_for("all is heard", lambda: ear.is_quiet)
     assert not ear.gaps

@@ -10,6 +10,7 @@ theorem, as in `event_power`). The second power, the fourth, which makes the kur
 number of clicks above the threshold determine the density and the log-normal peaks.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -261,7 +262,7 @@ class Matched:
         place = (np.arange(size) - size // 2) * step * FWHM / width
         click = np.exp(-(place**2) / 2)
         if shape == "edge":
-            click *= np.sqrt(np.e) * place
+            click *= math.sqrt(math.e) * place
         self.click = np.roll(click, -(size // 2))
         spectrum = np.fft.rfft(self.click)
         weight = np.where(inside, spectrum.conj() / noise, 0)

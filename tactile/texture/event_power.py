@@ -12,6 +12,8 @@ a pulse and λ⟨A²⟩πσ² e [erf(u)/2 − cos²β u exp(−u²)/√π] for a
 to the stroke.
 """
 
+import math
+
 import numpy as np
 from scipy.special import erf
 
@@ -51,7 +53,7 @@ def power_below(kind: Events, wave_number: Floats, angle: float = 0.0) -> Floats
     if kind.shape == "pulse":
         return np.asarray(total * erf(u))
     along = np.cos(angle - np.radians(kind.direction_deg)) ** 2
-    return np.asarray(total * np.e * (erf(u) / 2 - along * u * np.exp(-(u**2)) / np.sqrt(np.pi)))
+    return np.asarray(total * math.e * (erf(u) / 2 - along * u * np.exp(-(u**2)) / np.sqrt(np.pi)))
 
 
 def mean_square(kind: Events) -> float:

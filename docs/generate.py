@@ -53,10 +53,10 @@ UNITS = {
 
 UNITLESS = {
     "address", "am_depth", "amplitude_sd", "boards", "channel", "channels", "columns", "contactors",
-    "corrupt", "coupling", "eps33t_relative", "excess_kurtosis", "first_channel", "force_exponent",
-    "gain", "hysteresis", "jitter", "kinetic_coefficient", "loss", "loss_tangent", "mux", "nodes",
-    "parcap", "piezo_quality", "ports", "reorder", "rows", "seed", "shim_quality", "speed_exponent",
-    "static_coefficient", "stick_slip", "sup_rise", "tolerance",
+    "corrupt", "coupling", "depth", "eps33t_relative", "excess_kurtosis", "first_channel",
+    "force_exponent", "gain", "hysteresis", "jitter", "kinetic_coefficient", "loss", "loss_tangent",
+    "mux", "nodes", "parcap", "piezo_quality", "ports", "reorder", "rows", "seed", "shim_quality",
+    "speed_exponent", "static_coefficient", "stick_slip", "sup_rise", "tolerance",
 }  # fmt: skip
 """Keys of numbers that have no unit; any other number without a known unit is an error."""
 

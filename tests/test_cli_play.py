@@ -177,16 +177,17 @@ def test_an_allowed_loss_is_a_share_in_percent(command: Command, share: str) -> 
 
 
 def test_speed_angle_force_and_length_of_the_stroke_are_taken(command: Command) -> None:
-    stroke = ["--speed-mm-s", 50, "--angle-deg", 30, "--normal-force-n", 0.2, "--seconds", 0.2]
+    stroke = ["--gain", 1, "--speed-mm-s", 50, "--angle-deg", 30, "--normal-force-n", 0.2]
+    stroke += ["--seconds", 0.2]
     command("play", "wood-oak", *stroke, "--device", "mock:", "--record", "a.npz", "--quiet")
     r = recorded(Path("a.npz"))
     direction = np.array([math.cos(math.radians(30)), math.sin(math.radians(30))])
     expected = 50 * np.arange(1600)[:, None] / 8000 * direction
     np.testing.assert_allclose(r["position_mm"], expected, rtol=0, atol=1e-9)
-    command("play", "wood-oak", *stroke[:4], "--seconds", 0.2, "--device", "mock:", "--record",
+    command("play", "wood-oak", *stroke[:6], "--seconds", 0.2, "--device", "mock:", "--record",
             "b.npz", "--quiet")  # fmt: skip
     rms = [float(np.std(recorded(Path(name))["shear_target_m"])) for name in ("a.npz", "b.npz")]
-    assert rms[0] != pytest.approx(rms[1], rel=0.01), "the force has its law"
+    assert rms[0] != pytest.approx(rms[1], rel=0.1), "the force has its law"
 
 
 def test_a_path_is_followed(command: Command) -> None:

@@ -138,7 +138,7 @@ def test_a_stroke_is_played_for_the_finger_that_is_there(two: Pair) -> None:
     """Shear under a finger that the file does not name is within 2.5 dB of the commanded.
 
     With the finger of the file it is off by 7.7 dB, and with the mean finger by 4.4 dB. Noise of
-    the converter moves the level of 0.4 s between 0.8 and 2.8 dB, so that 1.6 s are played.
+    the converter moves the level of 0.4 s between 0.8 and 2.8 dB, so that 6.4 s are played.
     """
     errors = []
     for calibration in ("", two[2]):
@@ -146,7 +146,7 @@ def test_a_stroke_is_played_for_the_finger_that_is_there(two: Pair) -> None:
             stage.play(0.8, slides=True)
             stage.bus.take_shear()
             commanded: list[Floats] = []
-            for _ in range(800):
+            for _ in range(3200):
                 stage.play(BLOCK / RATE, slides=True)
                 commanded.append(stage.player.rendering.shear)
             played = stage.bus.take_shear()[BLOCK - 1 :: BLOCK][: len(commanded)]
@@ -340,7 +340,9 @@ def test_a_guard_turns_a_contactor_down_until_the_free_bender_plays(
         # a guard may let go too early in a quiet part of the texture, and trips once more then: it
         # does on 7 of the first 24 surfaces, and did on 10 of those of waves
         assert 2 <= trips <= 4 if guarded else trips == 0
-        assert counters["lifted_contactors"] == counters["touched_contactors"] == max(trips, 2)
+        # and what is estimated beside the guards may take such a part for a lift as well
+        assert counters["lifted_contactors"] == counters["touched_contactors"]
+        assert max(trips, 2) <= counters["lifted_contactors"] <= 4
         assert counters["unexplained_loads"] == 0
         for k in (0, 1):
             course = [bool(finger.guarded[k]) for finger in stage.told if finger is not None]

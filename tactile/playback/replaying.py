@@ -142,7 +142,7 @@ def _renderer(recording: Recording, sources: Sources) -> tuple[Display, Renderer
     texture = None
     if sources.texture is not None:
         texture = texture_of(sources.texture, recording.path)
-    if texture is not None and provenance.gain != 1:
+    if texture is not None:
         texture = amplified(texture, provenance.gain)
     rate = provenance.sample_rate_hz
     return display, Renderer(display, texture, sample_rate=rate, seed=provenance.seed)

@@ -470,20 +470,20 @@ def _set_gain(
     """Note the gain in the summary; if it is the largest, with the limit that it reaches."""
     if isinstance(gain, float | int):
         summary.gain = gain
-        return
-    try:
-        if isinstance(texture, NamedEffect):
+    elif isinstance(texture, NamedEffect):
+        if gain == "auto":
             raise InputError(
                 f"gain auto cannot be used with the effect {texture.name}: give a number"
             )
+    else:
         rate = summary.sample_rate_hz
-        largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
-    except InputError:
-        if gain == "auto":
-            raise
-        summary.gain = 1.0  # nobody asked for more
-        return
-    summary.gain, summary.gain_limit = largest.value, largest.limit
+        try:
+            largest = largest_gain(display, texture, trajectory, sample_rate=rate, seed=seed)
+        except InputError:  # there is nothing to amplify
+            if gain == "auto":
+                raise
+        else:
+            summary.gain, summary.gain_limit = largest.value, largest.limit
 
 
 def _amplified(
@@ -496,7 +496,7 @@ def _amplified(
     if isinstance(texture, NamedEffect):
         fade = np.zeros(round(display.limits.fade * rate))
         return None, np.concatenate([fade, replace(texture, gain=gain).shear(rate)])
-    return amplified(texture, gain) if gain != 1 else texture, None
+    return amplified(texture, gain), None
 
 
 def _follow(

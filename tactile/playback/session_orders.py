@@ -81,8 +81,7 @@ def realized(
     PreparedTexture
         Texture for a link that takes samples, or for one that takes spectrum frames.
     """
-    if gain != 1:
-        texture = amplified(texture, gain)
+    texture = amplified(texture, gain)
     if not how.carriers:
         return RealizedLayer(display, texture, seed=seed)
     return SpectrumRenderer(

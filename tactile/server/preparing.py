@@ -10,16 +10,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from tactile.display.display import Display
-from tactile.errors import InputError, TactileError
+from tactile.errors import TactileError
 from tactile.playback.commands import DeviceOpened, KeepTexture, PreparedTexture
 from tactile.playback.session_orders import TextureDescription, realized
 from tactile.processes import pipes_of_parent, received, send
-from tactile.strength.strength import SteadyStroke, automatic_gain
-from tactile.texture.surface import Texture, load_with_source
+from tactile.strength.strength import gain_at_usual_speeds
+from tactile.texture.surface import load_with_source
 
-SPEEDS = 0.04, 0.08, 0.16
-"""Speeds of strokes within the limits [m/s]: fingers explore surfaces at about 20 to 200 mm/s
-(assumed), and the displacement of most textures is larger at lower speeds."""
 NICE = 10
 """Niceness of the process, so that it yields to playback."""
 
@@ -41,7 +38,7 @@ class PreparationRequest:
     how : DeviceOpened
         How the device of the display plays.
     largest : bool
-        Whether to give the texture the gain of `largest_gain_of`.
+        Whether to give the texture the gain of `gain_at_usual_speeds`.
     """
 
     number: int
@@ -111,31 +108,9 @@ def prepare(request: PreparationRequest) -> tuple[PreparedTexture, TextureDescri
         If the file of the texture cannot be used.
     """
     texture, source = load_with_source(request.texture)
-    gain = largest_gain_of(request.display, texture) if request.largest else 1.0
+    gain = gain_at_usual_speeds(request.display, texture) if request.largest else 1.0
     prepared = realized(request.display, texture, request.seed, request.how, gain=gain)
     return prepared, TextureDescription(request.number, request.seed, source, gain)
-
-
-def largest_gain_of(display: Display, texture: Texture) -> float:
-    """Compute the gain of a texture whose finger moves at any usual speed.
-
-    Parameters
-    ----------
-    display : Display
-        Display to play on.
-    texture : Texture
-        Texture to play.
-
-    Returns
-    -------
-    float
-        Smallest of the `automatic_gain` of strokes at `SPEEDS`; 1 if there is nothing to play.
-    """
-    gains = []
-    for speed in SPEEDS:
-        with suppress(InputError):  # nothing to play at this speed
-            gains.append(automatic_gain(display, texture, SteadyStroke(speed=speed)).value)
-    return min(gains, default=1.0)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ of an endless stroke: above it the limiter reduces the drive, gently and rarely.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +50,9 @@ HEADROOM = 10 ** (-3.5 / 20)
 """Gain that leaves room for the highest drive of half a minute above that of a trial: bursts are
 rare and high. Measured at 80 mm/s on calf, suede, ABS and oak, 24 contactors: −0.5 … 3.1 dB above
 it."""
+USUAL_SPEEDS = 0.04, 0.08, 0.16
+"""Speeds of a finger that explores a surface, of about 20 to 200 mm/s (assumed) [m/s]. The
+displacement of most textures is larger at lower speeds, their frequencies at higher ones."""
 FAINT = 1e-3
 """Gain of a trial."""
 GRID = 5.0
@@ -360,7 +364,7 @@ def amplified(texture: Texture, gain: float) -> Texture:
     Returns
     -------
     Texture
-        Texture with scaled waves, harmonics, events and map.
+        Texture with scaled waves, harmonics, events and map; ``texture`` itself for a gain of 1.
 
     Raises
     ------
@@ -377,6 +381,8 @@ def amplified(texture: Texture, gain: float) -> Texture:
     """
     if not 0 <= gain < np.inf:
         raise InputError(f"gain {gain:g}: must be a number from 0")
+    if gain == 1:
+        return texture
     d = texture.descriptor
     periodic = tuple(
         structs.replace(p, harmonics_um=tuple(gain * h for h in p.harmonics_um)) for p in d.periodic
@@ -832,6 +838,29 @@ def automatic_gain(
     if gain is None:
         raise InputError(f"{texture.name}: leaves {display.name} nothing to play in this stroke")
     return gain
+
+
+def gain_at_usual_speeds(display: Display, texture: Texture) -> float:
+    """Compute the largest gain for a finger whose speed is not known beforehand.
+
+    Parameters
+    ----------
+    display : Display
+        Display to play on.
+    texture : Texture
+        Texture to play.
+
+    Returns
+    -------
+    float
+        Smallest of the `automatic_gain` of strokes at `USUAL_SPEEDS`; 1 if there is nothing to
+        play.
+    """
+    gains = []
+    for speed in USUAL_SPEEDS:
+        with suppress(InputError):  # nothing to play at this speed
+            gains.append(automatic_gain(display, texture, SteadyStroke(speed=speed)).value)
+    return min(gains, default=1.0)
 
 
 def _largest(tried: Trial, delivered: LineSpectrum, level: float | None) -> Gain | None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tactile.arrays import Floats
-from tactile.texture.clicks import Clicks, find_clicks
+from tactile.texture.clicks import Clicks, find_clicks, quiet_levels
 from tactile.texture.descriptor import About, Events, Stochastic
 from tactile.texture.event_power import FWHM
 from tactile.texture.fitting import describe, measure_slides
@@ -49,6 +49,17 @@ def met(kind: Events, rng: np.random.Generator) -> Floats:
 
 def found_in(strokes: Floats) -> tuple[Clicks | None, list[Floats]]:
     return find_clicks(list(strokes), STEP, CENTER, [range(STROKES)])
+
+
+def test_the_level_between_clicks_is_that_of_the_noise() -> None:
+    """White noise of 1 µm rms has 2 step µm²·mm; clicks of 20 µm add up to 1.3 dB to it.
+
+    Without them it is known within 0.4 dB in each band.
+    """
+    strokes = 1e-6 * np.random.default_rng(2).standard_normal((STROKES, SIZE))
+    strokes[:, 1500:6000:1500] += 2e-5
+    level = quiet_levels(list(strokes), STEP, CENTER)
+    assert np.abs(level - 10 * np.log10(2 * STEP * 1e3)).max() < 2
 
 
 def test_clicks_are_found_with_their_heights_and_removed() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tactile.arrays import Floats
+from tactile.texture.descriptor import Stochastic
 from tactile.texture.surface import Texture
 
 CENTERS = 10 ** (np.arange(-6, 10) / 10)
@@ -43,22 +44,32 @@ def bands(levels: tuple[float, ...] = FALLING, **more: object) -> dict[str, obje
     return {"frequency_per_mm": tuple(CENTERS.tolist()), "level_db": levels, **more}
 
 
-def counted(wave_vector: Floats, amplitude: Floats, degrees: float) -> Floats:
-    """Return the 16 band levels [dB re 1 µm²·mm] along a direction, wave by wave."""
-    power = np.zeros(16)
+def counted(
+    wave_vector: Floats, amplitude: Floats, degrees: float, edges: Floats = EDGES
+) -> Floats:
+    """Return the band levels [dB re 1 µm²·mm] along a direction, wave by wave."""
+    power, lowest = np.zeros(len(edges) - 1), 10 * math.log10(edges[0])
     for (kx, ky), a in zip(wave_vector, amplitude, strict=True):
         along = kx * math.cos(math.radians(degrees)) + ky * math.sin(math.radians(degrees))
-        band = math.floor(10 * math.log10(abs(along) / (2 * math.pi) * 1e-3 + 1e-9) + 6.5)
-        if 0 <= band < 16:
+        band = math.floor(10 * math.log10(abs(along) / (2 * math.pi) * 1e-3 + 1e-9) - lowest)
+        if 0 <= band < len(power):
             power[band] += (a * 1e6) ** 2 / 2
-    return np.asarray(10 * np.log10(np.maximum(power / np.diff(EDGES), 1e-12)))
+    return np.asarray(10 * np.log10(np.maximum(power / np.diff(edges), 1e-12)))
+
+
+def edges_of(stochastic: Stochastic) -> Floats:
+    """Return the exact edges (B + 1,) of a descriptor's third octaves [cycles/mm]."""
+    first = round(10 * math.log10(stochastic.frequency_per_mm[0]))
+    return 10 ** ((np.arange(len(stochastic.frequency_per_mm) + 1) + first - 0.5) / 10)
 
 
 def misses(texture: Texture, degrees: Floats) -> Floats:
     """Return by how much [dB] each band along each direction differs from the descriptor."""
     assert texture.descriptor.stochastic is not None
     wanted = np.asarray(texture.descriptor.stochastic.level_db)
-    return np.array([counted(texture.wave_vector, texture.amplitude, d) - wanted for d in degrees])
+    edges, waves = edges_of(texture.descriptor.stochastic), (texture.wave_vector, texture.amplitude)
+    lines = (counted(*waves, d, edges) for d in degrees)
+    return np.array([row - wanted for row in lines])
 
 
 def rms(values: Floats) -> float:

@@ -37,6 +37,7 @@ from tactile.strength.commanded import LineSpectrum, law_factor, random_lines
 from tactile.strength.strength import Reach, SteadyStroke, reach
 from tactile.texture import perception
 from tactile.texture.descriptor import Events
+from tactile.texture.perception import TouchChannel
 from tactile.texture.surface import Texture
 
 LEVEL_JND = 2.35
@@ -146,9 +147,12 @@ def _centroid(lines: LineSpectrum) -> float:
     return float(np.exp(weight @ np.log(perception.CENTERS) / weight.sum()))
 
 
-def _felt_power(lines: LineSpectrum) -> float:
-    """Return the power of lines relative to the detection threshold."""
-    return float(np.sum(lines.power * 2 / perception.detection_threshold(lines.frequency) ** 2))
+def _felt_power(lines: LineSpectrum, channel: TouchChannel | None = None) -> float:
+    """Return the power of lines relative to the threshold of a channel, or of all together."""
+    threshold = (perception.detection_threshold if channel is None else channel.threshold)(
+        lines.frequency
+    )
+    return float(np.sum(lines.power * 2 / threshold**2))
 
 
 def _envelope(
@@ -175,12 +179,17 @@ def _felt_rate(kind: Events, speed: float, factor: float, rest: LineSpectrum) ->
     """Return the rate of events of a kind that are felt under a contactor [1/s].
 
     An event passes under a contactor within half its width, and acts as a cycle of the frequency
-    speed ÷ 2 width. It is felt above threshold and beyond `STANDS_OUT` of the rest, both in terms
-    of threshold; log-normal amplitudes are so to a share.
+    speed ÷ 2 width. It is felt if some channel feels it, above threshold and beyond `STANDS_OUT` of
+    the rest, both in terms of the threshold of that channel; log-normal amplitudes are so to a
+    share.
     """
     width = kind.width_mm * 1e-3
-    threshold = float(perception.detection_threshold(np.array([speed / (2 * width)]))[0])
-    least = threshold * max(1.0, STANDS_OUT * math.sqrt(_felt_power(rest) / 2))
+    frequency = np.array([speed / (2 * width)])
+    least = min(
+        float(channel.threshold(frequency)[0])
+        * max(1.0, STANDS_OUT * math.sqrt(_felt_power(rest, channel) / 2))
+        for channel in perception.TOUCH_CHANNELS.values()
+    )
     size = factor * kind.amplitude_um * 1e-6
     if size <= 0:
         return 0.0

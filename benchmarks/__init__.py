@@ -13,6 +13,7 @@ from benchmarks.budgets import measure_budgets
 from benchmarks.clock import measure_clock
 from benchmarks.cluster import measure_dask, measure_million
 from benchmarks.coupling import measure_couplings
+from benchmarks.distinct import measure_distinct
 from benchmarks.faults import measure_faults
 from benchmarks.finger import measure_finger
 from benchmarks.firmware import measure_firmware
@@ -88,6 +89,7 @@ LONG: dict[str, Benchmark] = {
     "session": measure_session,
     "hour": partial(crowd.measure_crowd, crowd.SOAK),
     "crowd-long": partial(crowd.measure_crowd, crowd.LONG),
+    "distinct": measure_distinct,
     "library": measure_library,
     "realism": measure_realism,
     "dask": measure_dask,

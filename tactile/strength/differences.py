@@ -31,7 +31,6 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.strength.commanded import LineSpectrum, law_factor, random_lines
 from tactile.strength.strength import Reach, SteadyStroke, reach

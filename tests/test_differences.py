@@ -29,7 +29,7 @@ def test_each_quantity_is_counted_in_its_own_jnd(
 ) -> None:
     """Two steps of 25 % lead from 200 to 312.5 Hz; 16 events have a counting error of 4."""
     other = replace(PLAIN, **changed)
-    by_name = differences.differences(PLAIN, other)
+    by_name = differences.quantity_differences(PLAIN, other)
     assert by_name.pop(name) == pytest.approx(jnd)
     assert max(by_name.values()) == 0
     assert distance(PLAIN, other) == pytest.approx(jnd)

@@ -198,7 +198,7 @@ def _felt_rate(kind: Events, speed: float, factor: float, rest: LineSpectrum) ->
     return passing * math.erfc(math.log(least / size) / (kind.amplitude_sd * math.sqrt(2))) / 2
 
 
-def differences(one: Impression, other: Impression) -> dict[str, float]:
+def quantity_differences(one: Impression, other: Impression) -> dict[str, float]:
     """Compute by how much two textures differ in each quantity.
 
     Parameters
@@ -231,7 +231,7 @@ def _ratio(one: float, other: float, jnd: float) -> float:
 
 
 def distance(one: Impression, other: Impression) -> float:
-    """Compute the distance between two textures, the largest of their `differences`.
+    """Compute the distance between two textures, the largest of their `quantity_differences`.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def distance(one: Impression, other: Impression) -> float:
     float
         Distance [JND].
     """
-    return max(differences(one, other).values())
+    return max(quantity_differences(one, other).values())
 
 
 def most_distinct(felt: dict[str, Impression]) -> list[str]:

@@ -32,8 +32,8 @@ from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import Laws, Stochastic, textures
 from tactile.texture.surface import Partials, Texture, load_texture
 
-STEP = 50e-6
-"""Distance between samples of a cut [m]."""
+STEP = 20e-6
+"""Distance between samples of a cut, which resolves bands to 22.4 cycles/mm [m]."""
 SEEDS, SPOTS = 16, 4
 """Number of surfaces, and of places on each that are too far apart to be correlated."""
 LENGTH = 1.2
@@ -51,8 +51,8 @@ FIDELITY, SIMILARITY = 40.0, 0.99
 
 
 def bands_alone(texture: Texture) -> Texture:
-    """Return a texture's bands under their envelope, without laws, gratings and events."""
-    only = changed(texture.descriptor, laws=Laws(), events=(), periodic=())
+    """Return a texture's bands under the envelope that ``[stochastic]`` states, and nothing else."""
+    only = changed(texture.descriptor, laws=Laws(), events=(), periodic=(), modulation=())
     return replace(texture, descriptor=only)
 
 
@@ -151,7 +151,7 @@ def spectra(signal: Floats) -> Complex:
 
 
 def bands_of_bins(count: int) -> Floats:
-    """Return (16, F) ones where a bin of `spectra` lies in a band."""
+    """Return (16, F) ones where a bin of `spectra` lies in a band from 0.25 to 8 cycles/mm."""
     frequency = np.arange(count) / SEGMENT
     band = np.digitize(frequency, third_octaves(measures.CENTERS)) - 1
     return np.asarray(band == np.arange(len(measures.CENTERS))[:, None], np.float64)

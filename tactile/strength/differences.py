@@ -7,8 +7,8 @@ delivers below its limits. Each difference is divided by its just noticeable dif
 |---|---|---|
 | level in P and in NP I, dB SL | `LEVEL_JND`, 2.35 dB | 2.2–2.5 dB (Israr & Tan 2006) |
 | centroid of what is felt, Hz | `FREQUENCY_JND`, 25 % | 18–25 % (Israr & Tan 2006) |
-| swing of the slow envelope, dB rms | `LEVEL_JND` | assumed: swings of less are no change |
-| rate of that envelope, Hz | `RATE_JND`, 50 % | assumed: twice that of a tone, as it is noise |
+| swing of the level in P by the envelope, dB rms | `LEVEL_JND` | assumed: less is no change |
+| rate of that swing, Hz | `RATE_JND`, 50 % | assumed: twice that of a tone, as it is noise |
 | events that are felt, 1/s | counting error of 1 s and 25 % | assumed, as `FREQUENCY_JND` |
 | stretch by friction, m | `LEVEL_JND` | assumed: a step of shear, felt as its size |
 
@@ -46,6 +46,9 @@ FREQUENCY_JND = 0.25
 2006)."""
 RATE_JND = 0.5
 """Just noticeable relative difference of the rate of an envelope, which is random (assumed)."""
+FASTEST_SWING = 50.0
+"""Rate from which on a finger follows swings of a level less and less, as a low-pass of first order
+does [Hz] (assumed)."""
 COUNTED = 1.0
 """Time during which a finger counts events [s] (assumed)."""
 STANDS_OUT = 3.0
@@ -69,9 +72,10 @@ class Impression:
         Geometric mean frequency of the bands above threshold, weighted by their power relative to
         threshold [Hz]; NaN if there is none.
     swing : float
-        Standard deviation of the level that the slow envelope causes [dB].
+        Standard deviation of the level in P that slow waves, bursts and ``[[modulation]]`` of the
+        envelope cause, as far as a finger follows them [dB].
     swing_rate : float
-        Highest frequency of that envelope [Hz].
+        Mean frequency of these swings, weighted by their variance [Hz].
     events : float
         Rate of sparse events that are felt under a contactor [1/s].
     stretch : float
@@ -125,12 +129,12 @@ def impression(
     rest = able.delivered(stroke.lines(smooth)).times(gain)
     levels = perception.channel_sensation(lines.frequency, lines.power)
     factor = gain * law_factor(texture, stroke.speed, stroke.normal_force)
-    swing, rate = _envelope(texture, stroke, able, lines)
+    swing, rate = _envelope(texture, stroke, able)
     return Impression(
         pacini=max(levels["P"], 0.0),
         meissner=max(levels["NP I"], 0.0),
         centroid=_centroid(lines),
-        swing=swing,
+        swing=swing if levels["P"] > 0 else 0.0,
         swing_rate=rate,
         events=sum(_felt_rate(kind, stroke.speed, factor, rest) for kind in d.events),
         stretch=stroke.friction(display, texture).drag,
@@ -146,32 +150,29 @@ def _centroid(lines: LineSpectrum) -> float:
     return float(np.exp(weight @ np.log(perception.CENTERS) / weight.sum()))
 
 
-def _felt_power(lines: LineSpectrum, channel: TouchChannel | None = None) -> float:
-    """Return the power of lines relative to the threshold of a channel, or of all together."""
-    threshold = (perception.detection_threshold if channel is None else channel.threshold)(
-        lines.frequency
-    )
-    return float(np.sum(lines.power * 2 / threshold**2))
+def _felt_power(lines: LineSpectrum, channel: TouchChannel) -> float:
+    """Return the power of lines relative to the threshold of a channel."""
+    return float(np.sum(lines.power * 2 / channel.threshold(lines.frequency) ** 2))
 
 
-def _envelope(
-    texture: Texture, stroke: SteadyStroke, able: Reach, lines: LineSpectrum
-) -> tuple[float, float]:
-    """Return the swing [dB] and the highest frequency [Hz] of a texture's slow envelope.
+def _envelope(texture: Texture, stroke: SteadyStroke, able: Reach) -> tuple[float, float]:
+    """Return the swing of the level in P [dB] and its rate [Hz] that the envelope causes.
 
-    The level 20 log10 exp(g) of a log-normal envelope of depth d swings by 8.69 √ln(1 + d²) dB.
-    Gratings and events do not swing; the part that they have in what is felt reduces it.
+    A wave of amplitude a in the exponent of the envelope swings by 8.69 a/√2 dB rms. Gratings and
+    events do not swing; the part that they have in what is felt reduces it.
     """
-    bands, density = texture.descriptor.stochastic, texture.realize().density
-    if bands is None or density is None or _felt_power(lines) == 0:
+    surface, velocity = texture.realize(), stroke.speed * stroke.direction
+    rate = np.abs(surface.envelope.wave_vector @ velocity) / (2 * np.pi)
+    variance = surface.envelope.amplitude**2 / 2 / (1 + (rate / FASTEST_SWING) ** 2)
+    if surface.density is None or not variance.any():
         return 0.0, 0.0
     factor = law_factor(texture, stroke.speed, stroke.normal_force)
-    random = able.delivered(random_lines(density, stroke.speed * stroke.direction)).times(factor)
-    whole = able.delivered(stroke.lines(texture))
-    share = min(_felt_power(random) / _felt_power(whole), 1.0)
-    swing = 20 / math.log(10) * math.sqrt(math.log1p(bands.am_depth**2))
-    felt = not math.isnan(_centroid(lines))
-    return felt * share * swing, bands.am_corner_per_mm * 1e3 * stroke.speed
+    random = able.delivered(random_lines(surface.density, velocity)).times(factor)
+    pacini = perception.TOUCH_CHANNELS["P"]
+    whole = _felt_power(able.delivered(stroke.lines(texture)), pacini)
+    share = min(_felt_power(random, pacini) / whole, 1.0) if whole else 0.0
+    swing = 20 / math.log(10) * math.sqrt(variance.sum())
+    return share * swing, float(variance @ rate / variance.sum())
 
 
 def _felt_rate(kind: Events, speed: float, factor: float, rest: LineSpectrum) -> float:

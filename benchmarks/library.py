@@ -30,7 +30,7 @@ from tactile.sim import Fidelity
 from tactile.texture import measures
 from tactile.texture.bands import third_octaves
 from tactile.texture.descriptor import Laws, Stochastic, textures
-from tactile.texture.surface import Partials, Texture, load_texture
+from tactile.texture.surface import Partials, Texture, load_texture, stochastic_waves
 
 STEP = 20e-6
 """Distance between samples of a cut, which resolves bands to 22.4 cycles/mm [m]."""
@@ -40,6 +40,9 @@ LENGTH = 1.2
 """Length of a cut [m]; all cuts together are 77 m, 19 000 periods of the lowest band."""
 SEGMENT = 80e-3
 """Length of a spectrum's segment, 20 periods of the lowest band [m]."""
+DENSE = 1536
+"""Number of plane waves that stand for a surface. Of the 384 of a texture, a band has so few that
+they are coherent by chance."""
 ALONG, ACROSS = 2.5e-3, 3.5e-3
 """Distance between contactors along and across the motion: the pitch of reference-24 [m]."""
 SPEEDS = (0.04, 0.08)
@@ -51,7 +54,7 @@ FIDELITY, SIMILARITY = 40.0, 0.99
 
 
 def bands_alone(texture: Texture) -> Texture:
-    """Return a texture's bands under the envelope that ``[stochastic]`` states, and nothing else."""
+    """Return a texture's bands under the envelope of ``[stochastic]``, and nothing else."""
     only = changed(texture.descriptor, laws=Laws(), events=(), periodic=(), modulation=())
     return replace(texture, descriptor=only)
 
@@ -209,6 +212,7 @@ def hann_power(bins: Floats) -> Floats:
 
 def coherence_misses(texture: Texture, *, seeds: int = SEEDS) -> dict[str, Floats]:
     """Return rendered − own coherence per band, for contactors along and across the motion."""
+    assert texture.descriptor.stochastic is not None
     waves, turns = bands_alone(texture), directions(texture)[:: SEEDS // seeds]
     gaps = np.array([[0, 0], [ALONG, 0], [0, ACROSS]])
     rows = [
@@ -216,7 +220,7 @@ def coherence_misses(texture: Texture, *, seeds: int = SEEDS) -> dict[str, Float
         for k, turn in enumerate(turns)
     ]
     base, *others = np.stack(rows, axis=1).reshape(3, SPOTS * seeds, -1, rows[0].shape[-1])
-    surface = waves.realize().partials
+    surface = Partials(*stochastic_waves(texture.descriptor.stochastic, DENSE), np.zeros(DENSE))
     return {
         name: rendered_coherence(base, other) - own_coherence(surface, turns, gap)
         for name, other, gap in zip(("along", "across"), others, gaps[1:], strict=True)

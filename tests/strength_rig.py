@@ -52,7 +52,7 @@ def few(display: Display, *which: int, volts: float | None = None) -> Display:
 
 def smooth(name: str) -> Texture:
     """Return a texture of few partials without what friction adds."""
-    return without_friction(load_texture(name, partials=128))
+    return without_friction(load_texture(name, partials=192))
 
 
 def authored(folder: Path, parts: str) -> Texture:

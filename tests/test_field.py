@@ -10,6 +10,7 @@ from tactile.arrays import Complex, Floats
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.texture.density import Density
 from tactile.texture.field import (
+    FADE,
     PIXELS,
     THIRD,
     Field,
@@ -82,11 +83,13 @@ def test_each_level_is_the_sum_of_the_waves_below_its_end(level: int) -> None:
 
 
 def test_levels_are_mixed_between_their_speeds() -> None:
-    """Read at a third of the way from one level to the next, in the logarithm of the speed."""
+    """Read at a third of the fade from one level to the next, in the logarithm of the speed."""
     place, step = scatter(200), PASS_BAND / HIGHEST
     ends = [read(FIELD, place, step * 10 ** (0.1 * k) * (1 + 1e-9)) for k in (2, 3)]
-    mixed = read(FIELD, place, step * 10 ** (0.1 * (2 + 1 / 3)))
+    mixed = read(FIELD, place, step * 10 ** (0.1 * (2 + FADE / 3)))
     assert rms(mixed - (2 * ends[0] + ends[1]) / 3) < 1e-5 * rms(mixed)
+    faded = read(FIELD, place, step * 10 ** (0.1 * (2 + FADE)))
+    assert rms(faded - ends[1]) < 1e-5 * rms(faded)
 
 
 def test_nothing_is_left_at_a_speed_that_takes_all_waves_out_of_the_band() -> None:

@@ -199,7 +199,7 @@ def test_too_much_is_limited_and_the_automatic_gain_is_not(pair: Display, suede:
 
 def test_friction_has_its_share_of_the_drive_kept_free(pair: Display, calf: Texture) -> None:
     bare = automatic_gain(pair, calf)
-    dragging = load_texture("leather-calf", partials=128)
+    dragging = load_texture("leather-calf", partials=192)
     assert dragging.descriptor.friction is not None
     gain = automatic_gain(pair, dragging)
     assert gain.value == pytest.approx((1 - STROKE_SHARE) * bare.value)

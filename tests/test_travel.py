@@ -582,7 +582,7 @@ def test_what_is_attainable_is_what_is_played(one: Display, frequency: float) ->
 def test_the_automatic_gain_names_the_travel(pair: Display) -> None:
     """A grating that plays 930 Hz under a stiff finger."""
     stiff = replace(pair, load=FingerLoad.high())
-    coin = load_texture("metal-coin-reeded", partials=160)
+    coin = load_texture("metal-coin-reeded", partials=192)
     stroke = SteadyStroke(speed=0.2)
     gain = automatic_gain(stiff, coin, stroke)
     assert gain.limit == "travel"

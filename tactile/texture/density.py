@@ -23,11 +23,11 @@ ANGLES, RADII = 64, 32
 """Number of directions, and of wave numbers in a ring, with which rings are projected to bands."""
 NEARNESS = 0.02
 """Weight that keeps the power of a ring near that of its waves, where bands leave it open."""
-LEFT = 4
+LEFT = 3
 """Number of third octaves that are left to plane waves, which cost about as much as a field."""
 NARROW = 4.0
 """Ratio between the ends of a field that is worth while."""
-FEWEST = 12
+FEWEST = 30
 """Number of waves of a tile that a third octave needs; with fewer, the bands of strokes would
 differ from direction to direction."""
 

@@ -24,9 +24,11 @@ amplitude for k cycles per pixel, at most −38 dB at the highest wave number, w
 **Levels.** A finger that moves at v turns the wave number κ into the frequency κ v, and what is
 above 1 kHz is not played. Graphics hardware prefilters textures for that (Williams, "Pyramidal
 parametrics", SIGGRAPH 1983). Level j holds the waves below κ₀ 10^(−j/10), each level a third octave
-less than the one before, in pixels that double in size with every octave. At any speed, the two
-levels that end around 1 kHz are read and mixed. In a rectangle, the components of a wave number
-along x and along y end there, as those of a picture do, and count at the speed |vx| + |vy|.
+less than the one before, in pixels that double in size with every octave. At most speeds one level
+is read, the finest one that ends below 1 kHz. Over the first quarter of a third octave of speed
+after a level has reached 1 kHz, it is mixed with the next one. In a rectangle, the components of a
+wave number along x and along y end there, as those of a picture do, and count at the speed
+|vx| + |vy|.
 """
 
 import math
@@ -47,6 +49,9 @@ PER_CYCLE = 4.0
 """Smallest number of pixels in a cycle."""
 THIRD = 10**-0.1
 """Ratio of the highest wave number of a level to that of the level before it."""
+FADE = 0.25
+"""Part of a third octave of speed over which a level gives way to the next one (assumed): 5 ms of a
+stroke at 80 mm/s that accelerates by 1 m/s². Two levels take twice the time of one."""
 BORDER = 3
 """Number of pixels that follow the last one of a level once more, so that a row of four pixels
 needs no wrapping."""
@@ -108,7 +113,7 @@ class FieldReader:
         Places of the contactors [m].
     band : float
         Frequency above which nothing is to be played [Hz]. A level whose highest wave is above it
-        at the speed of the finger fades out over the next third octave.
+        at the speed of the finger fades out over the next part `FADE` of a third octave.
     gain : float
         Factor on the displacement of the field.
     """
@@ -158,8 +163,8 @@ def played_share(ratio: Floats, highest: float) -> Floats:
         Factor on the displacement: 1 up to the end of the coarser of the two levels that are mixed,
         less between their ends, 0 above.
     """
-    mixed = 10 * math.log10(max(highest, 1.0)) % 1
-    end = 10 ** (mixed / 10)
+    above = 10 * math.log10(max(highest, 1.0)) % 1
+    mixed, end = min(above / FADE, 1.0), 10 ** (above / 10)
     return np.where(ratio < end * THIRD, 1.0, np.where(ratio < end, 1 - mixed, 0.0))
 
 
@@ -371,8 +376,9 @@ def add_levels(
     for n in range(shear.shape[0]):
         level = 5 * np.log10(max(ratio[n], 1.0))
         lower = min(int(level), len(first))
+        mixed = min((level - lower) / FADE, 1.0)
         for j in range(lower, min(lower + 2, len(first))):
-            share = np.float32(gain * (1 - abs(level - j)))
+            share = np.float32(gain * (1 - mixed if j == lower else mixed))
             if share != 0:
                 x, y = place[0, n] * per_meter[j, 0], place[1, n] * per_meter[j, 1]
                 start, mask, rows = np.uint64(first[j]), shape[j, 0] - 1, shape[j, 1]

@@ -132,9 +132,9 @@ def gratings(name: str, count: int) -> tactile.Texture:
 
 
 def test_shear_is_the_surface_at_each_contactor(display: tactile.Display) -> None:
-    texture = plain("wood-oak")
+    texture = plain("wood-oak")  # all of it is below 1 kHz at this speed
     r = tactile.render(
-        display, texture, tactile.Trajectory.line(speed=0.07, angle=0.4, duration=0.25)
+        display, texture, tactile.Trajectory.line(speed=0.04, angle=0.4, duration=0.25)
     )
     wanted = texture.realize().random_part(r.position[:, None] + display.contactors)
     # the phasor table's steps leave -73 dB
@@ -463,14 +463,17 @@ def test_another_sample_rate_asks_the_same_of_the_skin(display: tactile.Display)
 
 
 def test_the_lowest_rate_of_narrow_links_keeps_the_band(display: tactile.Display) -> None:
-    """The plant, which shares nothing with the filter, gives the same as at 8 kHz within 4 dB."""
+    """The plant, which shares nothing with the filter, gives the same as at 8 kHz within 6 dB.
+
+    Textures fill the band up to 1 kHz at this speed, where 2.5 kHz are nearest to their limit.
+    """
     texture, path = tactile.load_texture("wood-pine-sanded"), tactile.Trajectory.line(speed=0.08)
     usual, lowest = (
         play(display, texture, path, sample_rate=rate).signal_to_error_db for rate in (8000, 2500)
     )
     assert usual is not None
     assert lowest is not None
-    assert lowest > max(usual - 4, 45)
+    assert lowest > max(usual - 6, 45)
 
 
 def test_the_current_limit_holds_behind_an_amplifier_with_gain(display: tactile.Display) -> None:

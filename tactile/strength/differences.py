@@ -120,7 +120,7 @@ def impression(
     >>> display, oak = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> felt = impression(display, oak)
     >>> round(felt.pacini), felt.centroid > 150
-    (20, True)
+    (19, True)
     """
     stroke, d = stroke or SteadyStroke(), texture.descriptor
     able = reach(display, stroke)

@@ -27,7 +27,7 @@ LEFT = 3
 """Number of third octaves that are left to plane waves, which cost about as much as a field."""
 NARROW = 4.0
 """Ratio between the ends of a field that is worth while."""
-FEWEST = 30
+FEWEST = 20
 """Number of waves of a tile that a third octave needs; with fewer, the bands of strokes would
 differ from direction to direction."""
 

@@ -822,13 +822,13 @@ def automatic_gain(
 
     Examples
     --------
-    Oak may be played 4.5 times as strong, or a little stronger for a level of 20 dB SL.
+    Oak may be played 4 times as strong, or a little stronger for a level of 20 dB SL.
 
     >>> import tactile
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> largest = tactile.automatic_gain(display, texture)
     >>> largest.limit, round(largest.value, 1)
-    ('voltage', 4.5)
+    ('voltage', 4.0)
     >>> round(tactile.automatic_gain(display, texture, level=20.0).value, 1)
     1.1
     """

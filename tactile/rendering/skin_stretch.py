@@ -69,7 +69,8 @@ Pair = tuple[float, float]
 STROKE_SHARE = 0.3
 """Largest part of the shear attained by full drive at rest that friction may take. The rest is for
 the texture: four times the rms of the strongest shipped texture, 9 µm at slow speeds, takes up to
-68 % under the heavily loading finger. A moderate voltage that is held for long is also easy on the ceramic."""
+68 % under the heavily loading finger. A moderate voltage that is held for long is also easy on the
+ceramic."""
 GIVE = 1e-3
 """Skin stretch per unit of friction coefficient [m]: a pad with a stiffness of 1 N/mm at 1 N
 (assumed)."""

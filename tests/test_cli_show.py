@@ -105,7 +105,7 @@ def test_bars_and_marks_are_where_levels_and_threshold_are() -> None:
         just = micro / 10 ** (excess / 20)
         assert bar.index("│") == pytest.approx(np.log(just / 0.01) / per_character, abs=1.6)
     (gratings,) = [line for line in lines if "gratings:" in line]
-    assert gratings[43:].startswith("gratings: 1.4 µm at 47.3 Hz, 0.5 µm at 94.7 Hz")
+    assert gratings[43:].startswith("gratings: 1.7 µm at 47.3 Hz, 0.6 µm at 94.7 Hz")
 
 
 @pytest.mark.parametrize("width", [200, 110, 84, 83, 60, 40, 24])

@@ -295,7 +295,14 @@ def text_with(**changes: object) -> str:
         "width_mm": 1.0, "height_mm": 1.0, "columns": 20, "rows": 20, "level_um": 1e-4,
         "pixels": packed(np.arange(400, dtype=np.int16).reshape(20, 20)),
     } | changes  # fmt: skip
-    plain = as_toml(tactile.load_texture("wood-oak").descriptor).replace("wood-oak", "some-relief")
+    oak = tactile.load_texture("wood-oak").descriptor
+    assert oak.stochastic is not None
+    bands = {
+        key: getattr(oak.stochastic, key)[:16]  # to 8 cycles/mm
+        for key in ("frequency_per_mm", "level_db", "level_sd_db")
+    }
+    coarse = structs.replace(oak, stochastic=structs.replace(oak.stochastic, **bands))
+    plain = as_toml(coarse).replace("wood-oak", "some-relief")
     keys = [
         f'{key} = """{value}"""' if isinstance(value, str) else f"{key} = {value}"
         for key, value in table.items()

@@ -138,7 +138,7 @@ def surface(place: Floats, peak: Floats, kind: NDArray[np.intp]) -> Surface:
 
 def read(field: EventField, place: Floats) -> Floats:
     """Return displacement (S, N) [m] for finger places (S, 2) [m]."""
-    shear = np.zeros((len(place), field._contactors.shape[1]), np.float32)
+    shear = np.zeros((len(place), field._offset.shape[1]), np.float32)
     field.add_to(shear, place.T)
     return shear.astype(np.float64)
 

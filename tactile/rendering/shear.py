@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tactile.arrays import Floats, Singles
+from tactile.arrays import Floats, Ints, Singles
 from tactile.machine_code import compiled
 from tactile.texture.descriptor import Descriptor, Events
 from tactile.texture.event_power import FWHM
@@ -72,12 +72,16 @@ class EventField:
     def __init__(self, surface: Surface, kinds: tuple[Events, ...], contactors: Floats) -> None:
         pitch = surface.tile / PIXELS
         self._per_meter = 1 / pitch
-        self._contactors = np.ascontiguousarray(contactors.T / pitch)
+        pixel = contactors.T / pitch
+        whole = np.floor(pixel)
+        self._offset = np.ascontiguousarray(whole, np.int64)
+        self._part = np.ascontiguousarray(pixel - whole, np.float32)
         field = np.zeros((PIXELS, PIXELS), np.float32)
         for place, peak, kind in zip(
             surface.event_place / pitch, surface.event_peak, surface.event_kind, strict=True
         ):
-            _draw(field, place, peak, kinds[kind], pitch)
+            _draw(field.T, place, peak, kinds[kind], pitch)
+        # Rows along x, the usual direction of a stroke, are read faster than columns.
         # The first row and column once more behind the last: a pixel's neighbors need no wrapping.
         self._pixels = np.pad(field, (0, 1), mode="wrap")
 
@@ -91,28 +95,37 @@ class EventField:
         place : (2 or more, S) array of float
             Rows x and y of the finger's places [m].
         """
-        add_events(shear, place, self._contactors, self._pixels, self._per_meter)
+        add_events(shear, place, self._offset, self._part, self._pixels, self._per_meter)
 
 
-@compiled("void(float32[:, ::1], float64[:, :], float64[:, ::1], float32[:, ::1], float64)")
+@compiled(
+    "void(float32[:, ::1], float64[:, :], int64[:, ::1], float32[:, ::1], float32[:, ::1], float64)"
+)
 def add_events(
-    shear: Singles, place: Floats, contactors: Floats, pixels: Singles, per_meter: float
+    shear: Singles, place: Floats, offset: Ints, part: Singles, pixels: Singles, per_meter: float
 ) -> None:
     """Add what is between four pixels of an event field, as `EventField.add_to` describes.
 
-    Indices are unsigned, so that numba need not check whether they count from the end.
+    ``offset`` (2, N) and ``part`` (2, N) are whole and remaining pixels from the finger to each
+    contactor. Indices are unsigned, so that numba need not check whether they count from the end.
     """
     one = np.uint64(1)
     for n in range(shear.shape[0]):
         x, y = place[0, n] * per_meter, place[1, n] * per_meter
+        column, row = np.floor(x), np.floor(y)
+        across, down = np.float32(x - column), np.float32(y - row)
+        column, row = np.int64(column), np.int64(row)
         for i in range(shear.shape[1]):
-            u, v = x + contactors[0, i], y + contactors[1, i]
-            row, column = np.floor(u), np.floor(v)
-            a, b = np.uint64(np.int64(row) & LAST), np.uint64(np.int64(column) & LAST)
-            u, v = u - row, v - column
-            upper = pixels[a, b] + v * (pixels[a, b + one] - pixels[a, b])
-            lower = pixels[a + one, b] + v * (pixels[a + one, b + one] - pixels[a + one, b])
-            shear[n, i] += np.float32(upper + u * (lower - upper))
+            j, k = row + offset[1, i], column + offset[0, i]
+            u, v = across + part[0, i], down + part[1, i]
+            if u >= 1:
+                k, u = k + 1, u - np.float32(1)
+            if v >= 1:
+                j, v = j + 1, v - np.float32(1)
+            a, b = np.uint64(j & LAST), np.uint64(k & LAST)
+            upper = pixels[a, b] + u * (pixels[a, b + one] - pixels[a, b])
+            lower = pixels[a + one, b] + u * (pixels[a + one, b + one] - pixels[a + one, b])
+            shear[n, i] += upper + v * (lower - upper)
 
 
 def _draw(field: Singles, place: Floats, peak: float, kind: Events, pitch: float) -> None:

@@ -828,7 +828,7 @@ def automatic_gain(
     >>> display, texture = tactile.load_display("reference-24"), tactile.load_texture("wood-oak")
     >>> largest = tactile.automatic_gain(display, texture)
     >>> largest.limit, round(largest.value, 1)
-    ('voltage', 4.0)
+    ('voltage', 4.2)
     >>> round(tactile.automatic_gain(display, texture, level=20.0).value, 1)
     1.1
     """

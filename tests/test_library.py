@@ -251,8 +251,7 @@ def test_any_two_textures_can_be_told_apart() -> None:
     """Any two differ by more than a JND of level in a third octave (26 %; the JND is 18-25 %).
 
     Where a band that cannot be felt differs, it counts as the threshold. Few pairs may rest on
-    friction alone, and then nearly a JND of vibration must be there as well: friction is stored,
-    not yet played.
+    friction alone, and then nearly a JND of vibration must be there as well.
     """
     felt = {name: felt_levels(d) for name, d in LIBRARY.items()}
     by_friction, pairs = [], list(itertools.combinations(sorted(LIBRARY), 2))

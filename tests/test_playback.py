@@ -124,8 +124,8 @@ def test_no_jump_is_put_out_at_either_end(display: Display, oak: Texture) -> Non
     p = played(display, oak, stroke(0.5))
     step = np.abs(np.diff(p.bus.output, axis=0)).max(axis=1)
     usual = step[FADE + 32 : -2 * FADE - 32].max()
-    assert step[: FADE + 32].max() < usual
-    assert step[-2 * FADE - 32 :].max() < usual
+    assert step[: FADE + 32].max() <= usual
+    assert step[-2 * FADE - 32 :].max() <= usual
 
 
 def test_a_stroke_shorter_than_two_fades_never_reaches_full_shear(

@@ -129,8 +129,9 @@ def test_bands_are_those_of_a_rendered_stroke(name: str) -> None:
 def test_bands_of_waves_and_their_sidebands_are_those_of_a_rendered_stroke(tmp_path: Path) -> None:
     """Every third band has power, with an envelope of half depth; 8 surfaces of 10 s give 0.4 dB.
 
-    The bands between have sidebands only, whose first order is within 1.2 dB; they would be 40 dB
-    lower without it.
+    The bands between have sidebands, whose first order is within 1.2 dB; up to 125 Hz, they would
+    be 20 dB lower without it. Speeds differ by up to 2 %, so that the mean does not depend on where
+    the few waves at the edge of a band fall, which stand in columns 3 Hz apart.
     """
     level = ", ".join("-10.0" if n % 3 == 0 else "-60.0" for n in range(16))
     bands = ", ".join(f"{0.5 * 10 ** (n / 10):.5g}" for n in range(16))
@@ -140,11 +141,16 @@ def test_bands_of_waves_and_their_sidebands_are_those_of_a_rendered_stroke(tmp_p
         "am_depth = 0.5\nam_corner_per_mm = 0.2\ndirection_spread_deg = 1.0\n",
     )
     shown = few(load_display("reference-24"), 0)
-    line = Trajectory.line(speed=0.08, duration=10.0, normal_force=0.5)
-    strokes = [spectrum(render(shown, texture, line, seed=k).shear[800:]) for k in range(8)]
-    measured = band_sensation(strokes[0][0], np.mean([power for _, power in strokes], axis=0))
-    lines = commanded_lines(texture, speed=0.08, normal_force=0.5)
-    predicted = band_sensation(lines.frequency, lines.power)
+    speeds = 0.08 * np.linspace(0.98, 1.02, 8)
+    paths = [Trajectory.line(speed=v, duration=10.0, normal_force=0.5) for v in speeds]
+    shear = [render(shown, texture, path, seed=k).shear[800:] for k, path in enumerate(paths)]
+    powers = [spectrum(one) for one in shear]
+    measured = band_sensation(powers[0][0], np.mean([power for _, power in powers], axis=0))
+    lines = [commanded_lines(texture, speed=v, normal_force=0.5) for v in speeds]
+    frequency, power = (
+        np.concatenate([getattr(x, n) for x in lines]) for n in ("frequency", "power")
+    )
+    predicted = band_sensation(frequency, power / len(speeds))
     inside = (CENTERS > 35) & (CENTERS < 1000) & (predicted > predicted.max() - 30)
     assert np.count_nonzero(inside) >= 8
     own = predicted > predicted.max() - 12

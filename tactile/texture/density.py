@@ -25,7 +25,7 @@ NEARNESS = 0.02
 """Weight that keeps the power of a ring near that of its waves, where bands leave it open."""
 LEFT = 3
 """Number of third octaves that are left to plane waves, which cost about as much as a field."""
-NARROW = 4.0
+NARROW = 3.0
 """Ratio between the ends of a field that is worth while."""
 FEWEST = 20
 """Number of waves of a tile that a third octave needs; with fewer, the bands of strokes would

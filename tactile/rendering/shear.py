@@ -80,8 +80,8 @@ class EventField:
         for place, peak, kind in zip(
             surface.event_place / pitch, surface.event_peak, surface.event_kind, strict=True
         ):
+            # Rows along x, the usual direction of a stroke, are read faster than columns.
             _draw(field.T, place, peak, kinds[kind], pitch)
-        # Rows along x, the usual direction of a stroke, are read faster than columns.
         # The first row and column once more behind the last: a pixel's neighbors need no wrapping.
         self._pixels = np.pad(field, (0, 1), mode="wrap")
 

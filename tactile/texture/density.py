@@ -257,7 +257,24 @@ class Density:
 
 @compiled("float64[::1](float64[:, :], float64[:], float64, float64)")
 def met_squares(velocity: Floats, squares: Floats, direction: float, wide: float) -> Floats:
-    """Compute the squared speeds of `Density.met_squares` for directions within ``wide`` [rad]."""
+    """Compute `Density.met_squares` for wave vectors within an angle of a direction.
+
+    Parameters
+    ----------
+    velocity : (2, S) array of float
+        Rows x and y of the velocity of the finger [m/s].
+    squares : (S,) array of float
+        Squared speed of the finger [m²/s²].
+    direction : float
+        Direction about which wave vectors are scattered [rad].
+    wide : float
+        Largest angle between a wave vector and that direction, at most π/2 [rad].
+
+    Returns
+    -------
+    (S,) array of float
+        Largest square of κ·v/κ among the waves [m²/s²].
+    """
     met = np.empty(len(squares))
     for n in range(len(squares)):
         x, y = velocity[0, n], velocity[1, n]

@@ -114,7 +114,8 @@ class FieldReader:
         Places of the contactors [m].
     band : float
         Frequency above which nothing is to be played [Hz]. A level whose highest wave is above it
-        at the speed of the finger fades out over the next part `FADE` of a third octave.
+        at the speed of the finger fades out over the following quarter (`FADE`) of a third octave
+        of speed.
     gain : float
         Factor on the displacement of the field.
     """

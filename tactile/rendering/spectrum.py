@@ -13,11 +13,11 @@ with the inverse response G, the frame's sample time t, and the shares s of the 
 partial that passes 0 Hz in a reversal does not jump. Carriers closer than 0.62 R carry everything
 between them almost unchanged. There are too few for that everywhere. The highest sub-bands are
 therefore third octaves, as wide as the skin's just noticeable difference of frequency (18–25 %,
-Israr & Tan 2006), in the range where its detection threshold rises (by 30 dB from 250 Hz to 1 kHz),
-and all other carriers are spread evenly below. With 16 carriers at 50 Hz these are 31 Hz apart up
-to 282 Hz, with six third octaves above. Fewer carriers stretch that pattern. Below 100 Hz, where
-thresholds rise as well, nothing can be saved: what is narrower than the frame rate takes no carrier
-of its own.
+Israr, Tan & Reed 2006), in the range where its detection threshold rises (by 30 dB from 250 Hz to 1
+kHz), and all other carriers are spread evenly below. With 16 carriers at 50 Hz these are 31 Hz
+apart up to 282 Hz, with six third octaves above. Fewer carriers stretch that pattern. Below 100 Hz,
+where thresholds rise as well, nothing can be saved: what is narrower than the frame rate takes no
+carrier of its own.
 
 **Shares** (`shares`). A single carrier, whose envelope is linear between frames, plays a partial δ
 off with images R apart: (2/3 + cos(2πδ/R)/3) of its power, and only a part of that, which shrinks

@@ -5,23 +5,32 @@ delivers below its limits. Each difference is divided by its just noticeable dif
 
 | quantity | JND | source |
 |---|---|---|
-| level in P and in NP I, dB SL | `LEVEL_JND`, 2.35 dB | 2.2–2.5 dB (Israr & Tan 2006) |
-| centroid of what is felt, Hz | `FREQUENCY_JND`, 25 % | 18–25 % (Israr & Tan 2006) |
-| swing of the level in P by the envelope, dB rms | `LEVEL_JND` | assumed: less is no change |
-| rate of that swing, Hz | `RATE_JND`, 50 % | assumed: twice that of a tone, as it is noise |
-| events that are felt, 1/s | counting error of 1 s and 25 % | assumed, as `FREQUENCY_JND` |
-| stretch by friction, m | `LEVEL_JND` | assumed: a step of shear, felt as its size |
+| level in P and in NP I, dB SL | `LEVEL_JND`, 2.5 dB | Israr, Tan & Reed 2006 |
+| centroid of what is felt, Hz | `FREQUENCY_JND`, 25 % | Israr, Tan & Reed 2006 |
+| swing of the level in P by the envelope, dB rms | `LEVEL_JND` | assumed |
+| rate of that swing, Hz | 50 %, where both swings exceed `LEVEL_JND` | assumed |
+| events that are felt, 1/s | counting error of 1 s and 25 %, at least one event | assumed |
+| stretch by friction, dB SL | `LEVEL_JND` | assumed: a slow cycle is felt as a level |
 
-The amplitude of stretch stands for friction because a display plays friction as a small copy. Under
-a finger on a real surface, 18 % of the coefficient are noticed (Samur, Colgate & Peshkin 2009),
-less than the 31 % that 2.35 dB are. A level below threshold counts as threshold, and what cannot be
-felt has no centroid, swing or rate, so that only what is felt makes a difference.
+**What is not felt makes no difference.** A level below threshold counts as threshold, also while it
+swings, and so does stretch. What is below threshold has no centroid. Events are counted up to
+`FASTEST_COUNT`.
+
+**Stretch** stands for friction because a display plays friction as a small copy. A bare finger on a
+glass plate with variable friction notices a change of the coefficient by about 18 % (Samur, Colgate
+& Peshkin 2009), one on rubber with micropillars by 20 % (Fehlberg et al. 2022). 2.5 dB correspond
+to 33 %.
+
+**Masking.** `LEVEL_JND` and `FREQUENCY_JND` hold for sinusoids at 20 dB SL that are felt alone. A
+masked finger, beside other vibration, notices less: 3.63 dB and 60 % (`MASKED`). It probably also
+notices less below 20 dB SL, where most shipped textures play at gain 1.
 
 **Distance.** The distance is the largest single difference, not the Euclidean norm, which would
-count on a finger that combines all seven. Two textures are distinct if it exceeds `DISTINCT` JND.
-Thresholds are uncertain by ± 5 dB and depend on the finger; they shift all levels alike, which
-moves the number of distinct textures less than the levels. The spatial pattern under an array, the
-tone of a grating and bursts of single features are left out, which makes the number smaller.
+assume that a finger combines all seven. Two textures are distinct if it exceeds `DISTINCT` JND.
+The spatial pattern under an array, the tone of a grating and bursts of single features are left
+out, which makes the number smaller. Of the shipped textures at 80 mm/s and gain 1 on
+`reference-24`, 18 are mutually distinct, 9 with the differences of a masked finger, and 15 or 20
+with thresholds 5 dB higher or lower.
 """
 
 import math
@@ -30,6 +39,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from tactile.display.display import Display
 from tactile.strength.commanded import LineSpectrum, law_factor, random_lines
@@ -39,23 +49,56 @@ from tactile.texture.descriptor import Events
 from tactile.texture.perception import TouchChannel
 from tactile.texture.surface import Texture
 
-LEVEL_JND = 2.35
-"""Just noticeable difference of a level [dB]: the middle of 2.2–2.5 dB (Israr & Tan 2006)."""
+LEVEL_JND = 2.5
+"""Just noticeable difference of a level [dB] (assumed, for about 20 dB SL: 1.82–2.98 dB at 20 dB SL
+and 1.65–2.71 dB at 35 dB SL, for sinusoids without a masker; Israr, Tan & Reed, J. Acoust. Soc. Am.
+120:2789, 2006)."""
 FREQUENCY_JND = 0.25
-"""Just noticeable relative difference of a frequency: the upper end of 0.18–0.25 (Israr & Tan
-2006)."""
-RATE_JND = 0.5
-"""Just noticeable relative difference of the rate of an envelope, which is random (assumed)."""
+"""Just noticeable relative difference of a frequency: the mean at 20 dB SL, of 0.13–0.38. At 35 dB
+SL it is 0.18, of 0.14–0.28 (without a masker; Israr, Tan & Reed 2006)."""
+RATE_FACTOR = 2.0
+"""Ratio of the just noticeable difference of the rate of an envelope, which is random, to that of
+the frequency of a tone (assumed)."""
 FASTEST_SWING = 50.0
-"""Rate from which on a finger follows swings of a level less and less, as a low-pass of first order
-does [Hz] (assumed)."""
+"""Corner frequency of the first-order low-pass with which a finger follows swings of a level [Hz]
+(assumed)."""
+SLOW = 1.0
+"""Frequency of a stroke to and fro [Hz] (assumed): that of the cycle whose threshold stretch must
+exceed, and of the slowest swing of a level that is noticed."""
 COUNTED = 1.0
 """Time during which a finger counts events [s] (assumed)."""
+FASTEST_COUNT = 8.0
+"""Rate of events beyond which a finger counts no more of them [1/s] (assumed)."""
 STANDS_OUT = 3.0
 """Peak of an event that is felt, in standard deviations of the rest (assumed): noise exceeds it in
 0.3 % of the time."""
 DISTINCT = 2.0
 """Distance beyond which two textures are distinct [JND]."""
+DB = 20 / math.log(10)
+"""Decibels per unit of the natural logarithm of an amplitude."""
+
+
+@dataclass(frozen=True)
+class Noticeable:
+    """Just noticeable differences of a finger.
+
+    Attributes
+    ----------
+    level : float
+        Just noticeable difference of a level [dB].
+    frequency : float
+        Just noticeable relative difference of a frequency.
+    """
+
+    level: float = LEVEL_JND
+    frequency: float = FREQUENCY_JND
+
+
+ALONE = Noticeable()
+"""Just noticeable differences of what is felt alone."""
+MASKED = Noticeable(level=3.63, frequency=0.60)
+"""Just noticeable differences beside one or two maskers: means at 20 dB SL (Israr, Tan & Reed
+2006)."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +115,15 @@ class Impression:
         Geometric mean frequency of the bands above threshold, weighted by their power relative to
         threshold [Hz]; NaN if there is none.
     swing : float
-        Standard deviation of the level in P that slow waves, bursts and ``[[modulation]]`` of the
-        envelope cause, as far as a finger follows them [dB].
+        Standard deviation of the level in P, at least 0 dB SL at any time, that slow waves, bursts
+        and ``[[modulation]]`` of the envelope cause, as far as a finger follows them [dB].
     swing_rate : float
         Mean frequency of these swings, weighted by their variance [Hz].
     events : float
-        Rate of sparse events that are felt under a contactor [1/s].
+        Rate of sparse events that are felt under a contactor, at most `FASTEST_COUNT` [1/s].
     stretch : float
-        Mean shear by friction against the motion [m].
+        Level of the mean shear by friction against the motion, at least 0: that of a sinusoid of
+        this peak and the frequency `SLOW` [dB SL].
     """
 
     pacini: float
@@ -92,7 +136,12 @@ class Impression:
 
 
 def impression(
-    display: Display, texture: Texture, stroke: SteadyStroke | None = None, *, gain: float = 1.0
+    display: Display,
+    texture: Texture,
+    stroke: SteadyStroke | None = None,
+    *,
+    gain: float = 1.0,
+    raised_db: float = 0.0,
 ) -> Impression:
     """Compute what a finger feels of a texture in a steady stroke.
 
@@ -106,6 +155,9 @@ def impression(
         Stroke of the finger, by default 80 mm/s at 0.5 N along x.
     gain : float
         Gain of the texture. Friction has none.
+    raised_db : float
+        Amount by which all thresholds of the finger are higher than those of
+        `tactile.texture.perception` [dB].
 
     Returns
     -------
@@ -124,20 +176,25 @@ def impression(
     """
     stroke, d = stroke or SteadyStroke(), texture.descriptor
     able = reach(display, stroke)
-    lines = able.delivered(stroke.lines(texture)).times(gain)
+    # Only ratios to thresholds matter: raising these is reducing every displacement.
+    reduced = 10 ** (-raised_db / 20)
+    lines = able.delivered(stroke.lines(texture)).times(gain * reduced)
     smooth = replace(texture, descriptor=structs.replace(d, events=()))
-    rest = able.delivered(stroke.lines(smooth)).times(gain)
+    rest = able.delivered(stroke.lines(smooth)).times(gain * reduced)
     levels = perception.channel_sensation(lines.frequency, lines.power)
-    factor = gain * law_factor(texture, stroke.speed, stroke.normal_force)
+    factor = gain * reduced * law_factor(texture, stroke.speed, stroke.normal_force)
+    events = sum(_felt_rate(kind, stroke.speed, factor, rest) for kind in d.events)
     swing, rate = _envelope(texture, stroke, able)
+    stretch = reduced * stroke.friction(display, texture).drag
+    least = float(perception.detection_threshold(np.array([SLOW]))[0])
     return Impression(
         pacini=max(levels["P"], 0.0),
         meissner=max(levels["NP I"], 0.0),
         centroid=_centroid(lines),
-        swing=swing if levels["P"] > 0 else 0.0,
+        swing=_felt_swing(levels["P"], swing),
         swing_rate=rate,
-        events=sum(_felt_rate(kind, stroke.speed, factor, rest) for kind in d.events),
-        stretch=stroke.friction(display, texture).drag,
+        events=min(events, FASTEST_COUNT),
+        stretch=20 * math.log10(max(stretch / least, 1.0)),
     )
 
 
@@ -158,12 +215,14 @@ def _felt_power(lines: LineSpectrum, channel: TouchChannel) -> float:
 def _envelope(texture: Texture, stroke: SteadyStroke, able: Reach) -> tuple[float, float]:
     """Return the swing of the level in P [dB] and its rate [Hz] that the envelope causes.
 
-    A wave of amplitude a in the exponent of the envelope swings by 8.69 a/√2 dB rms. Gratings and
-    events do not swing; the part that they have in what is felt reduces it.
+    A wave of amplitude a in the exponent of the envelope swings by 8.69 a/√2 dB rms, unless it is
+    slower than `SLOW`, as one across the stroke is. Gratings and events do not swing; the part that
+    they have in what is felt reduces it.
     """
     surface, velocity = texture.realize(), stroke.speed * stroke.direction
     rate = np.abs(surface.envelope.wave_vector @ velocity) / (2 * np.pi)
-    variance = surface.envelope.amplitude**2 / 2 / (1 + (rate / FASTEST_SWING) ** 2)
+    noticed = (rate >= SLOW) / (1 + (rate / FASTEST_SWING) ** 2)
+    variance = noticed * surface.envelope.amplitude**2 / 2
     if surface.density is None or not variance.any():
         return 0.0, 0.0
     factor = law_factor(texture, stroke.speed, stroke.normal_force)
@@ -171,8 +230,23 @@ def _envelope(texture: Texture, stroke: SteadyStroke, able: Reach) -> tuple[floa
     pacini = perception.TOUCH_CHANNELS["P"]
     whole = _felt_power(able.delivered(stroke.lines(texture)), pacini)
     share = min(_felt_power(random, pacini) / whole, 1.0) if whole else 0.0
-    swing = 20 / math.log(10) * math.sqrt(variance.sum())
+    swing = DB * math.sqrt(variance.sum())
     return share * swing, float(variance @ rate / variance.sum())
+
+
+def _felt_swing(level: float, swing: float) -> float:
+    """Return the standard deviation of a swinging level where it counts as at least 0 dB SL [dB].
+
+    The level x is taken as normal, as that of several waves nearly is. Its mean is less than
+    ``level`` [dB SL], that of the mean power, by σ²/`DB` for the standard deviation σ, ``swing``.
+    With a = mean/σ, E max(x, 0) = σ (a Φ(a) + φ(a)) and E max(x, 0)² = σ² ((a² + 1) Φ(a) + a φ(a)).
+    """
+    if swing == 0 or level == -math.inf:
+        return 0.0
+    a = (level - swing**2 / DB) / swing
+    below, here = ndtr(a), math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
+    mean, square = a * below + here, (a**2 + 1) * below + a * here
+    return swing * math.sqrt(max(square - mean**2, 0.0))
 
 
 def _felt_rate(kind: Events, speed: float, factor: float, rest: LineSpectrum) -> float:
@@ -180,8 +254,8 @@ def _felt_rate(kind: Events, speed: float, factor: float, rest: LineSpectrum) ->
 
     An event passes under a contactor within half its width, and acts as a cycle of the frequency
     speed ÷ 2 width. It is felt if some channel feels it, above threshold and beyond `STANDS_OUT` of
-    the rest, both in terms of the threshold of that channel; log-normal amplitudes are so to a
-    share.
+    the rest, both in terms of the threshold of that channel; of log-normal amplitudes, the share
+    above both limits counts.
     """
     width = kind.width_mm * 1e-3
     frequency = np.array([speed / (2 * width)])
@@ -199,30 +273,35 @@ def _felt_rate(kind: Events, speed: float, factor: float, rest: LineSpectrum) ->
     return passing * math.erfc(math.log(least / size) / (kind.amplitude_sd * math.sqrt(2))) / 2
 
 
-def quantity_differences(one: Impression, other: Impression) -> dict[str, float]:
+def quantity_differences(
+    one: Impression, other: Impression, finger: Noticeable = ALONE
+) -> dict[str, float]:
     """Compute by how much two textures differ in each quantity.
 
     Parameters
     ----------
     one, other : Impression
         Impressions of the same stroke on the same display.
+    finger : Noticeable
+        Just noticeable differences.
 
     Returns
     -------
     dict of str to float
         Difference by the name of the quantity, at least 0 [JND].
     """
-    swings = min(one.swing, other.swing) > LEVEL_JND
-    total, weber = one.events + other.events, FREQUENCY_JND * (one.events + other.events) / 2
-    count = abs(one.events - other.events) * COUNTED
+    swings = min(one.swing, other.swing) > finger.level
+    rate = _ratio(one.swing_rate, other.swing_rate, RATE_FACTOR * finger.frequency)
+    total = (one.events + other.events) * COUNTED
+    error = max(math.hypot(math.sqrt(total), finger.frequency * total / 2), 1.0)
     return {
-        "pacini": abs(one.pacini - other.pacini) / LEVEL_JND,
-        "meissner": abs(one.meissner - other.meissner) / LEVEL_JND,
-        "centroid": _ratio(one.centroid, other.centroid, FREQUENCY_JND),
-        "swing": abs(one.swing - other.swing) / LEVEL_JND,
-        "swing_rate": _ratio(one.swing_rate, other.swing_rate, RATE_JND) if swings else 0.0,
-        "events": count / max(math.hypot(math.sqrt(total * COUNTED), weber * COUNTED), 1.0),
-        "stretch": _ratio(one.stretch, other.stretch, 10 ** (LEVEL_JND / 20) - 1),
+        "pacini": abs(one.pacini - other.pacini) / finger.level,
+        "meissner": abs(one.meissner - other.meissner) / finger.level,
+        "centroid": _ratio(one.centroid, other.centroid, finger.frequency),
+        "swing": abs(one.swing - other.swing) / finger.level,
+        "swing_rate": rate if swings else 0.0,
+        "events": abs(one.events - other.events) * COUNTED / error,
+        "stretch": abs(one.stretch - other.stretch) / finger.level,
     }
 
 
@@ -231,29 +310,33 @@ def _ratio(one: float, other: float, jnd: float) -> float:
     return abs(math.log(one / other)) / math.log1p(jnd) if min(one, other) > 0 else 0.0
 
 
-def distance(one: Impression, other: Impression) -> float:
+def distance(one: Impression, other: Impression, finger: Noticeable = ALONE) -> float:
     """Compute the distance between two textures, the largest of their `quantity_differences`.
 
     Parameters
     ----------
     one, other : Impression
         Impressions of the same stroke on the same display.
+    finger : Noticeable
+        Just noticeable differences.
 
     Returns
     -------
     float
         Distance [JND].
     """
-    return max(quantity_differences(one, other).values())
+    return max(quantity_differences(one, other, finger).values())
 
 
-def most_distinct(felt: dict[str, Impression]) -> list[str]:
-    """Find a largest set of textures each two of which are distinct.
+def most_distinct(felt: dict[str, Impression], finger: Noticeable = ALONE) -> list[str]:
+    """Find a largest set of textures in which every two textures are distinct.
 
     Parameters
     ----------
     felt : dict of str to Impression
         Impression of the same stroke by the name of the texture.
+    finger : Noticeable
+        Just noticeable differences.
 
     Returns
     -------
@@ -268,8 +351,8 @@ def most_distinct(felt: dict[str, Impression]) -> list[str]:
     ['0', '8']
     """
     names = sorted(felt)
-    apart = np.array([[distance(felt[a], felt[b]) > DISTINCT for b in names] for a in names])
-    return [names[i] for i in largest_clique(apart)]
+    rows = [[distance(felt[a], felt[b], finger) for b in names] for a in names]
+    return [names[i] for i in largest_clique(np.array(rows) > DISTINCT)]
 
 
 def largest_clique(joined: NDArray[np.bool_]) -> list[int]:

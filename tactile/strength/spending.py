@@ -30,6 +30,7 @@ from tactile.arrays import Floats
 from tactile.display.display import Display
 from tactile.rendering.equalizer import roll_off
 from tactile.strength.commanded import LineSpectrum, law_factor
+from tactile.strength.differences import LEVEL_JND
 from tactile.strength.strength import (
     Reach,
     SteadyStroke,
@@ -41,9 +42,9 @@ from tactile.texture import perception
 from tactile.texture.perception import CENTERS, TOUCH_CHANNELS, TouchChannel
 from tactile.texture.surface import Texture, band_edges, grating, stroke_directions
 
-DISTANCE_DB = 2.5
+DISTANCE_DB = LEVEL_JND
 """Amount by which a part that is felt may be lowered relative to the others [dB]: at most the just
-noticeable difference of amplitude, 2.2 … 2.5 dB (Israr & Tan 2006)."""
+noticeable difference of a level (`tactile.strength.differences`)."""
 NEGLIGIBLE = 0.01
 """Fraction of a felt band's power up to which a part in it may be dropped: 0.04 dB."""
 

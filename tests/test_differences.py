@@ -97,9 +97,11 @@ def test_ribs_swing_by_the_exponent_of_their_envelope_as_far_as_a_finger_follows
         swing = 8.686 / math.sqrt(2) / math.hypot(1, rate / 50)
         assert felt.swing == pytest.approx(swing, rel=0.06)
         assert felt.swing_rate == pytest.approx(rate)
-        across = SteadyStroke(angle=math.pi / 2)
-        along_ribs = differences.impression(display, replace(calf, descriptor=ribbed), across)
-        assert along_ribs.swing == 0
+        along_ribs = SteadyStroke(angle=math.pi / 2)
+        unmoved = differences.impression(display, replace(calf, descriptor=ribbed), along_ribs)
+        assert unmoved.swing == 0
+        faint = differences.impression(display, replace(calf, descriptor=ribbed), gain=0.01)
+        assert faint.swing == pytest.approx(0, abs=0.01)
 
 
 def test_a_swing_below_threshold_is_none() -> None:

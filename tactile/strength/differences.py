@@ -18,8 +18,8 @@ swings, and so does stretch. What is below threshold has no centroid. Events are
 
 **Stretch** stands for friction because a display plays friction as a small copy. A bare finger on a
 glass plate with variable friction notices a change of the coefficient by about 18 % (Samur, Colgate
-& Peshkin 2009), one on rubber with micropillars by 20 % (Fehlberg et al. 2022). 2.5 dB correspond
-to 33 %.
+& Peshkin 2009), one on rubber with micropillars by as little as 20 % (Fehlberg et al. 2022). 2.5 dB
+correspond to 33 %.
 
 **Masking.** `LEVEL_JND` and `FREQUENCY_JND` hold for sinusoids at 20 dB SL that are felt alone. A
 masked finger, beside other vibration, notices less: 3.63 dB and 60 % (`MASKED`). It probably also

@@ -6,6 +6,7 @@ limited to one thread. ``python -m benchmarks`` runs the benchmarks.
 """
 
 from functools import partial
+from itertools import chain
 
 from benchmarks import crowd, deaths, estop, links
 from benchmarks.actuator import measure_matrix, measure_plant, measure_response
@@ -28,6 +29,7 @@ from benchmarks.optimize import measure_optimize
 from benchmarks.protocol import measure_protocol
 from benchmarks.realism import measure_realism
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
+from benchmarks.ribs import measure_ribs
 from benchmarks.sensing import measure_sensing
 from benchmarks.sensing_guard import measure_guard
 from benchmarks.session import measure_session
@@ -62,7 +64,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "budgets": measure_budgets,
     "firmware": measure_firmware,
     "links": links.measure_links,
-    "fit": measure_fit,
+    "fit": lambda: chain(measure_fit(), measure_ribs()),
     "finger": measure_finger,
     "tracking": measure_tracking,
     "travel": measure_travel,

@@ -73,22 +73,26 @@ def recordings() -> Path | None:
     return folder if (folder / "biotac").is_dir() else None
 
 
-def biotac(folder: Path) -> dict[str, RecordingMeasures]:
-    """Return the measures of each material's slides."""
+def biotac_slides(folder: Path) -> dict[str, list[Recorded]]:
+    """Return each material's slides."""
     with np.load(folder / "biotac" / "biotac.npz") as archive:
         signal, material = archive["signal"].astype(np.float64), archive["material"]
         rate = float(archive["sample_rate_hz"])
-    measured = {}
-    for name in np.unique(material):
-        slides = [
+    return {
+        str(name): [
             Recorded(
                 name=f"{name} {k}", signal=signal[k, BIOTAC_STEADY], quantity="displacement",
                 sample_rate=rate, speed=np.full(6600, BIOTAC_SPEED), calibrated=False,
             )
             for k in np.flatnonzero(material == name)
-        ]  # fmt: skip
-        measured[str(name)] = measure_slides(slides)
-    return measured
+        ]
+        for name in np.unique(material)
+    }  # fmt: skip
+
+
+def biotac(folder: Path) -> dict[str, RecordingMeasures]:
+    """Return the measures of each material's slides."""
+    return {name: measure_slides(slides) for name, slides in biotac_slides(folder).items()}
 
 
 def halvings(count: int) -> Iterator[tuple[list[int], list[int]]]:

@@ -1,11 +1,12 @@
 """Fit of a descriptor to recordings: bands, gratings, events, statistics, laws and friction.
 
 Each recording becomes strokes of displacement over place. Lines that recordings at different speeds
-share are gratings and are subtracted, and then sparse clicks. The rest is measured in third octaves
-of spatial frequency, from 10 Hz at the fastest speed to 800 Hz at the slowest or at 20 mm/s, and
-the noise of the sensor is subtracted as power. The differences between the levels at different
-speeds and forces give the exponents, which are held near known values where the recordings tell
-little. What remains from recording to recording is the spread of the bands.
+share are gratings and are subtracted, and then sparse clicks. Lines that their envelopes share are
+periodic envelopes, by which the strokes are divided. What is left is measured in third octaves of
+spatial frequency, from 10 Hz at the fastest speed to 800 Hz at the slowest or at 20 mm/s, and the
+noise of the sensor is subtracted as power. The differences between the levels at different speeds
+and forces give the exponents, which are held near known values where the recordings tell little.
+What remains from recording to recording is the spread of the bands.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -41,6 +42,7 @@ from tactile.texture.lines import (
     find_gratings,
     without,
 )
+from tactile.texture.modulation_fit import EnvelopeLine, find_modulations, without_modulations
 from tactile.texture.power_laws import Number, level_shift, speed_range
 from tactile.texture.recorded_slide import Recorded
 from tactile.texture.slide_strokes import (
@@ -144,7 +146,7 @@ class Slide:
     strokes : list of (S,) array of float
         Displacement at even steps of place [m].
     bare : list of (S,) array of float
-        Strokes without their gratings and clicks [m].
+        Strokes without their gratings, clicks and periodic envelopes [m].
     """
 
     recorded: Recorded
@@ -177,6 +179,8 @@ class RecordingMeasures:
         in the bands.
     clicks : Clicks or None
         Clicks of all strokes.
+    modulations : list of EnvelopeLine
+        Periodic envelopes that most strokes have.
     """
 
     slides: list[Slide]
@@ -187,6 +191,7 @@ class RecordingMeasures:
     gratings: list[HarmonicLines]
     lines: int
     clicks: Clicks | None = None
+    modulations: list[EnvelopeLine] = field(default_factory=list)
 
     def part(self, rows: Sequence[int]) -> "RecordingMeasures":
         """Select some of the recordings.
@@ -200,16 +205,18 @@ class RecordingMeasures:
         -------
         RecordingMeasures
             Measurements of these recordings, at the same reference speed, with the same gratings
-            and their own clicks.
+            and periodic envelopes, and their own clicks.
         """
         owner = np.repeat(np.arange(len(self.slides)), [len(s.strokes) for s in self.slides])
         strokes = np.concatenate([np.flatnonzero(owner == k) for k in rows])
+
         return changed(
             self,
             slides=[self.slides[k] for k in rows],
             level=self.level[list(rows)],
             gratings=[changed(g, heights=g.heights[strokes]) for g in self.gratings],
             clicks=self.clicks and self.clicks.part(strokes),
+            modulations=[changed(m, depths=m.depths[strokes]) for m in self.modulations],
         )
 
     @property
@@ -237,7 +244,7 @@ def measure_slides(
     reference_speed: float | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> RecordingMeasures:
-    """Measure the bands, gratings and clicks of recordings of one surface.
+    """Measure the bands, gratings, clicks and periodic envelopes of recordings of one surface.
 
     Parameters
     ----------
@@ -253,7 +260,7 @@ def measure_slides(
     Returns
     -------
     RecordingMeasures
-        Strokes, levels, gratings and clicks.
+        Strokes, levels, gratings, clicks and periodic envelopes.
 
     Raises
     ------
@@ -282,7 +289,9 @@ def measure_slides(
     level = np.array([_level(s, measured, noise) for s in slides])
     progress("clicks")
     measured = _without_clicks(changed(measured, level=level))
-    if measured.clicks:
+    progress("envelope")
+    measured = _without_modulations(measured)
+    if measured.clicks or measured.modulations:
         level = np.array([_level(s, measured, noise) for s in measured.slides])
     first = min(int(np.argmax(np.isfinite(level).any(axis=0))), measured.core.start)
     return changed(measured, center=center[first:], level=level[:, first:])
@@ -354,21 +363,43 @@ def _level(slide: Slide, measured: RecordingMeasures, noise: Recorded | None) ->
     return np.where(covered, 10 * np.log10(np.maximum(power, 1e-30)), np.nan)
 
 
+def _covered(measured: RecordingMeasures) -> Floats:
+    """Return the centers of the bands of `CORE` that all recordings cover [cycles/m]."""
+    covered = np.isfinite(measured.level[:, measured.core]).all(axis=0)
+    return np.asarray(measured.center[measured.core][covered])
+
+
+def _with_bare(measured: RecordingMeasures, rest: Sequence[Floats]) -> list[Slide]:
+    """Return the slides with the rest of their strokes."""
+    ends = np.cumsum([len(slide.bare) for slide in measured.slides])
+    return [
+        changed(slide, bare=list(rest[end - len(slide.bare) : end]))
+        for slide, end in zip(measured.slides, ends, strict=True)
+    ]
+
+
 def _without_clicks(measured: RecordingMeasures) -> RecordingMeasures:
     """Return measurements with the clicks in the bands of `CORE`, and slides without them."""
-    covered = np.isfinite(measured.level[:, measured.core]).all(axis=0)
-    if np.count_nonzero(covered) < FEWEST_BANDS:
+    center = _covered(measured)
+    if len(center) < FEWEST_BANDS:
         return measured
     strokes = [u for slide in measured.slides for u in slide.bare]
     ends = np.cumsum([len(slide.bare) for slide in measured.slides])
     groups = [list(range(k - len(s.bare), k)) for s, k in zip(measured.slides, ends, strict=True)]
-    center = measured.center[measured.core][covered]
     clicks, rest = find_clicks(strokes, measured.step, center, groups)
-    slides = [
-        changed(slide, bare=[rest[k] for k in group])
-        for slide, group in zip(measured.slides, groups, strict=True)
-    ]
-    return changed(measured, slides=slides, clicks=clicks)
+    return changed(measured, slides=_with_bare(measured, rest), clicks=clicks)
+
+
+def _without_modulations(measured: RecordingMeasures) -> RecordingMeasures:
+    """Return measurements with the periodic envelopes of `CORE`, and slides without them."""
+    center, step = _covered(measured), measured.step
+    if len(center) < FEWEST_BANDS:
+        return measured
+    strokes = [u for slide in measured.slides for u in slide.bare]
+    speed = np.array([slide.speed for slide in measured.slides for _ in slide.bare])
+    modulations = find_modulations(strokes, step, speed, center)
+    rest = [without_modulations(u, step, center, modulations) for u in strokes]
+    return changed(measured, slides=_with_bare(measured, rest), modulations=modulations)
 
 
 def _mean_power(strokes: list[Floats], measured: RecordingMeasures) -> Floats:
@@ -471,6 +502,7 @@ def describe(
         texture=about,
         reference=reference,
         stochastic=stochastic,
+        modulation=tuple(line.modulation for line in measured.modulations),
         periodic=tuple(_periodic(g, gain) for g in measured.gratings),
         events=_events(measured.clicks, gain),
         laws=laws,

@@ -121,10 +121,31 @@ def peaks(stroke: Floats, step: float, low: float, high: float, prominence: floa
     peak_index = peak_index[
         (peak_index > 0) & (peak_index < len(searched) - 1) & (searched[peak_index] >= low)
     ]
-    # The vertex of a parabola through three bins of log power gives the place between bins.
-    left, middle, right = (np.log(power[peak_index + k]) for k in (-1, 0, 1))
+    return vertices(searched, power, peak_index)
+
+
+def vertices(frequency: Floats, power: Floats, index: NDArray[np.intp]) -> Floats:
+    """Determine where peaks of a spectrum lie between its bins.
+
+    The vertex of a parabola through three bins of log power is taken.
+
+    Parameters
+    ----------
+    frequency : (F,) array of float
+        Frequencies of the bins, evenly spaced.
+    power : (F,) array of float
+        Power in each bin, in any unit.
+    index : (L,) array of int
+        Bins of the peaks, not at either end.
+
+    Returns
+    -------
+    (L,) array of float
+        Frequencies of the peaks.
+    """
+    left, middle, right = (np.log(power[index + k]) for k in (-1, 0, 1))
     offset = 0.5 * (left - right) / (left - 2 * middle + right)
-    return np.asarray(searched[peak_index] + offset * (searched[1] - searched[0]))
+    return np.asarray(frequency[index] + offset * (frequency[1] - frequency[0]))
 
 
 def _surroundings(frequency: Floats, power: Floats) -> Floats:
@@ -179,6 +200,26 @@ def common_lines(strokes: Sequence[Floats], step: float, speed: Floats, high: fl
     """
     prominence, lows = ALONE if len(strokes) == 1 else PROMINENCE, LOWEST / speed
     places = [peaks(u, step, low, high, prominence) for u, low in zip(strokes, lows, strict=True)]
+    return shared_lines(places, lows, speed)
+
+
+def shared_lines(places: list[Floats], lows: Floats, speed: Floats) -> list[Line]:
+    """Gather the lines of strokes to those that more than half of the strokes have.
+
+    Parameters
+    ----------
+    places : list of (L,) array of float
+        Spatial frequencies of the lines of each of R strokes [cycles/m].
+    lows : (R,) array of float
+        Spatial frequency down to which each stroke reaches [cycles/m].
+    speed : (R,) array of float
+        Speed of each stroke [m/s].
+
+    Returns
+    -------
+    list of Line
+        Lines in ascending order.
+    """
     owner = np.repeat(np.arange(len(places)), [len(p) for p in places])
     every = np.concatenate(places)
     order = np.argsort(every)
@@ -278,7 +319,7 @@ def _fitted_grating(
 ) -> HarmonicLines:
     """Return the grating of a fundamental whose given multiples stand out."""
     tuned = [
-        _fitted_stroke(u, step, base, orders) for u, c in zip(strokes, covers, strict=True) if c
+        fitted_harmonics(u, step, base, orders) for u, c in zip(strokes, covers, strict=True) if c
     ]
     own = np.array([fundamental for fundamental, _ in tuned])
     waves = np.array([wave for _, wave in tuned])
@@ -290,10 +331,29 @@ def _fitted_grating(
     return HarmonicLines(place, orders, heights, np.angle(turned.sum(axis=0)), count)
 
 
-def _fitted_stroke(
+def fitted_harmonics(
     stroke: Floats, step: float, base: float, orders: tuple[int, ...]
 ) -> tuple[float, Complex]:
-    """Return the fundamental of one stroke [cycles/m] and its complex amplitudes (H,)."""
+    """Fit the harmonics of a grating to one stroke, at the fundamental that fits it best.
+
+    Parameters
+    ----------
+    stroke : (S,) array of float
+        Displacement at even steps of place, in any unit.
+    step : float
+        Distance between samples [m].
+    base : float
+        Spatial frequency of the fundamental, within 1.5 % [cycles/m].
+    orders : tuple of int
+        Orders of the H harmonics.
+
+    Returns
+    -------
+    fundamental : float
+        Spatial frequency of the fundamental in this stroke [cycles/m].
+    waves : (H,) array of complex
+        Complex peak amplitudes with the phase at the first sample, in the unit of ``stroke``.
+    """
     window = np.hanning(len(stroke))
     ends = base * (1 - TOLERANCE), base * (1 + TOLERANCE)
     around = np.array(
@@ -327,7 +387,7 @@ def without(stroke: Floats, step: float, gratings: Sequence[HarmonicLines]) -> F
     """
     rest = stroke
     for grating in gratings:
-        base, waves = _fitted_stroke(rest, step, grating.frequency, grating.orders)
+        base, waves = fitted_harmonics(rest, step, grating.frequency, grating.orders)
         place = step * np.arange(len(stroke))
         turn = np.exp(2j * np.pi * base * np.outer(grating.orders, place))
         rest = rest - np.real(waves @ turn)

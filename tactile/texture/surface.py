@@ -734,9 +734,6 @@ def envelope(stochastic: Stochastic | None, rng: np.random.Generator) -> Partial
 def modulating(parts: tuple[Modulation, ...]) -> Partials:
     """Compute the waves of periodic envelopes, each a cos of phase 0 at the origin.
 
-    The envelope exp(a cos φ) has the mean I₀(a) and the fundamental 2 I₁(a) (Abramowitz & Stegun,
-    9.6.34).
-
     Parameters
     ----------
     parts : tuple of Modulation
@@ -749,11 +746,30 @@ def modulating(parts: tuple[Modulation, ...]) -> Partials:
     """
     if not parts:
         return Partials(*_no_waves(), np.zeros(0))
-    amplitude = [brentq(lambda a, d=p.depth: 2 * i1(a) / i0(a) - d, 0.0, 2.0) for p in parts]
+    amplitude = [exponent_of_depth(p.depth) for p in parts]
     number = 2 * np.pi * PER_MM / np.array([p.wavelength_mm for p in parts])
     turn = np.radians([p.direction_deg for p in parts])
     vector = number[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     return Partials(vector, np.array(amplitude), np.zeros(len(parts)))
+
+
+def exponent_of_depth(depth: float) -> float:
+    """Compute the amplitude of the exponent of a periodic envelope from its depth.
+
+    The envelope exp(a cos φ) has the mean I₀(a) and the fundamental 2 I₁(a) (Abramowitz & Stegun,
+    9.6.34).
+
+    Parameters
+    ----------
+    depth : float
+        Amplitude of the envelope's fundamental ÷ its mean, 0 to 1.
+
+    Returns
+    -------
+    float
+        Amplitude a, without unit.
+    """
+    return float(brentq(lambda a: 2 * i1(a) / i0(a) - depth, 0.0, 2.0))
 
 
 def envelope_scale(waves: Partials) -> float:

@@ -235,6 +235,9 @@ def _print_report(fit: Fit, verdict: Verdict) -> None:
         "gratings": "; ".join(
             f"{p.wavelength_mm:g} mm, {max(p.harmonics_um):.3g} µm" for p in d.periodic
         ) or "none found",
+        "periodic envelopes": "; ".join(
+            f"{m.wavelength_mm:g} mm, depth {m.depth:g}" for m in d.modulation
+        ) or "none found",
         "events": "; ".join(
             f"{e.density_per_mm2:g}/mm², {e.amplitude_um:g} µm, {e.width_mm:g} mm" for e in d.events
         ) or "none found",

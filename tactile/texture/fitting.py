@@ -398,7 +398,10 @@ def _without_modulations(measured: RecordingMeasures) -> RecordingMeasures:
     strokes = [u for slide in measured.slides for u in slide.bare]
     speed = np.array([slide.speed for slide in measured.slides for _ in slide.bare])
     modulations = find_modulations(strokes, step, speed, center)
-    rest = [without_modulations(u, step, center, modulations) for u in strokes]
+    rest = [
+        without_modulations(u, step, v, center, modulations)
+        for u, v in zip(strokes, speed, strict=True)
+    ]
     return changed(measured, slides=_with_bare(measured, rest), modulations=modulations)
 
 

@@ -17,7 +17,7 @@ from scipy.special import i0
 
 from tactile.arrays import Floats
 from tactile.texture.bands import third_octaves
-from tactile.texture.descriptor import Modulation
+from tactile.texture.descriptor import FEWEST_BANDS, Modulation
 from tactile.texture.lines import (
     HARMONIC,
     PADDING,
@@ -33,11 +33,15 @@ CLEAR = 9.0
 """Smallest ratio of the power of a line of an envelope to the median power around it, over ln 2. A
 share of 1e-4 of all bins of noise rises that far (e^−9), and two strokes with 400 bins each share
 such a line once in 10⁴ times."""
+HIGHEST = 800.0
+"""Frequency up to which bands are used, the highest one of which a recording must be true (see
+`CORE` of the fit) [Hz]."""
 PERIODS = 10
 """Smallest number of periods of an envelope in a stroke (assumed)."""
 FINEST = 1 / 8
-"""Highest spatial frequency of an envelope, relative to the top of the bands. An envelope must be
-slow beside the vibration that it modulates; here the depth is measured 0.05 too small at most."""
+"""Highest spatial frequency of an envelope, relative to the top of the bands in the fastest stroke.
+An envelope must be
+slow beside the vibration that it modulates: at 0.11, a depth of 0.8 is measured 0.07 too small."""
 LINE, AROUND = 3, 24
 """Half the width of a line, a little more than that under a Hann window, and half the width of its
 surroundings [1/length of the stroke]."""
@@ -77,7 +81,7 @@ class EnvelopeLine:
         )
 
 
-def whitened_envelope(stroke: Floats, step: float, center: Floats) -> Floats:
+def whitened_envelope(stroke: Floats, step: float, speed: float, center: Floats) -> Floats:
     """Compute the envelope of a stroke whose bands are brought to one spectral density.
 
     Parameters
@@ -86,8 +90,10 @@ def whitened_envelope(stroke: Floats, step: float, center: Floats) -> Floats:
         Displacement at even steps of place, without lines and clicks [m].
     step : float
         Distance between samples [m].
+    speed : float
+        Mean speed [m/s].
     center : (B,) array of float
-        Band centers, outside of which nothing is left [cycles/m].
+        Band centers [cycles/m]. Nothing is left outside of the bands, and above 800 Hz.
 
     Returns
     -------
@@ -100,6 +106,7 @@ def whitened_envelope(stroke: Floats, step: float, center: Floats) -> Floats:
     InputError
         If the stroke cannot be measured, as in `band_spectrum`.
     """
+    center = center[: max(np.count_nonzero(center * speed <= HIGHEST), FEWEST_BANDS)]
     level = band_spectrum(stroke, step, center=center)
     frequency, edges = np.fft.rfftfreq(len(stroke), step), third_octaves(center)
     inside = (frequency >= edges[0]) & (frequency <= edges[-1])
@@ -152,9 +159,9 @@ def find_modulations(
     """
     if not differ(speed):
         return []
-    envelopes = [whitened_envelope(u, step, center) for u in strokes]
+    envelopes = [whitened_envelope(u, step, v, center) for u, v in zip(strokes, speed, strict=True)]
     lows = np.array([max(PERIODS / (len(u) * step), 1 / LONGEST) for u in strokes])
-    high = min(FINEST * float(third_octaves(center)[-1]), 1 / SHORTEST)
+    high = min(FINEST * HIGHEST / float(speed.max()), 1 / SHORTEST)
     spectra = [_relative_power(e, step, low, high) for e, low in zip(envelopes, lows, strict=True)]
     places = []
     for low, (frequency, ratio) in zip(lows, spectra, strict=True):
@@ -187,7 +194,11 @@ def _deepest(lines: list[EnvelopeLine]) -> list[EnvelopeLine]:
 
 
 def without_modulations(
-    stroke: Floats, step: float, center: Floats, modulations: Sequence[EnvelopeLine]
+    stroke: Floats,
+    step: float,
+    speed: float,
+    center: Floats,
+    modulations: Sequence[EnvelopeLine],
 ) -> Floats:
     """Divide a stroke by periodic envelopes, each at the place that fits this stroke best.
 
@@ -197,6 +208,8 @@ def without_modulations(
         Displacement at even steps of place [m].
     step : float
         Distance between samples [m].
+    speed : float
+        Mean speed [m/s].
     center : (B,) array of float
         Band centers [cycles/m].
     modulations : sequence of EnvelopeLine
@@ -208,7 +221,7 @@ def without_modulations(
         Displacement without the envelopes, which have a mean square of one as in a `Modulation`
         [m].
     """
-    envelope = whitened_envelope(stroke, step, center)
+    envelope = whitened_envelope(stroke, step, speed, center)
     place = 2 * np.pi * step * np.arange(len(stroke))
     rest = stroke
     for line in modulations:

@@ -62,7 +62,7 @@ def fitted(recordings: list[Recorded]) -> Descriptor:
 
 @pytest.mark.parametrize("wander", [pytest.param(0.0, marks=pytest.mark.ci), 0.05])
 def test_ribs_are_fitted_with_their_wavelength_and_depth(wander: float) -> None:
-    """With 1200 cycles of bandwidth times length or more, depths err by 0.02."""
+    """Depths err by 0.02 for 1200 cycles of bandwidth times length or more."""
     (ribs,) = fitted(slides(1.5e-3, wander=wander)).modulation
     assert ribs.wavelength_mm == pytest.approx(1.5, rel=0.005)
     assert ribs.depth == pytest.approx(DEPTH, abs=0.06)

@@ -21,6 +21,7 @@ from benchmarks.realism.judgments import (
     FAMILIES,
     Mean,
     Split,
+    drift,
     folds_of,
     mean_of,
     roughness,
@@ -61,12 +62,14 @@ def _discriminated(folder: Path) -> Iterator[Figure]:
 
 
 def _rough(folder: Path) -> Iterator[Figure]:
-    """Yield the roughness of spectra: of the renderer, of recordings, and of Gaussian noise."""
+    """Yield roughness of spectra and drift of level: of renderer, recordings and Gaussian noise."""
     rng = np.random.default_rng(0)
     for name in ("rendered", "replayed", "ar16"):
         groups = roughness(folder, ENTRANTS[name], rng)
         for length, values in zip(("windows", "strokes"), groups.T, strict=True):
             yield from _with_interval(f"realism.roughness.{name}.{length}", mean_of(values), "dB")
+        drifting = mean_of(drift(folder, ENTRANTS[name], rng))
+        yield from _with_interval(f"realism.drift.{name}", drifting, "dB")
 
 
 def _biotac(folder: Path) -> Iterator[Figure]:

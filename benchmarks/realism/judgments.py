@@ -166,21 +166,43 @@ def unit_features(stroke: Recorded) -> Families:
     return FABRIC.features(signal / signal.std())
 
 
+def strokes_over_fabrics(
+    folder: Path, entrant: Entrant, rng: Generator
+) -> Iterator[list[Recorded]]:
+    """Yield strokes over each fabric at each speed, made from recordings at two other speeds."""
+    for name in FABRIC_NAMES:
+        recordings = {key: fabric(folder, name, key) for key in FABRICS}
+        for key, recorded in recordings.items():
+            train = nearest_speeds(recordings, key)
+            yield entrant.strokes(train, FABRICS[key], recorded.duration, SURFACES, rng)
+
+
 def roughness(folder: Path, entrant: Entrant, rng: Generator) -> Floats:
     """Return how rough the spectra of strokes over fabrics are, (G, 2) array [dB].
 
     The standard deviation of the periodogram within third octaves is averaged over bands, of
     windows and of whole strokes, for each fabric and speed.
     """
-    groups = []
-    for name in FABRIC_NAMES:
-        recordings = {key: fabric(folder, name, key) for key in FABRICS}
-        for key, recorded in recordings.items():
-            train = nearest_speeds(recordings, key)
-            duration = recorded.duration
-            strokes = entrant.strokes(train, FABRICS[key], duration, SURFACES, rng)
-            groups.append(np.mean([stroke_roughness(stroke) for stroke in strokes], axis=0))
-    return np.array(groups)
+    return np.array(
+        [
+            np.mean([stroke_roughness(stroke) for stroke in strokes], axis=0)
+            for strokes in strokes_over_fabrics(folder, entrant, rng)
+        ]
+    )
+
+
+def drift(folder: Path, entrant: Entrant, rng: Generator) -> Floats:
+    """Return how the level drifts along strokes over fabrics, (G,) array [dB].
+
+    The standard deviation of the level over the windows of a stroke is averaged over the strokes of
+    each fabric and speed.
+    """
+    return np.array(
+        [
+            np.mean([unit_features(stroke)["level"].std(ddof=1) for stroke in strokes])
+            for strokes in strokes_over_fabrics(folder, entrant, rng)
+        ]
+    )
 
 
 def stroke_roughness(stroke: Recorded) -> tuple[float, float]:

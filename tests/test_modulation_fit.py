@@ -12,6 +12,7 @@ from scipy.special import i0, i1
 from tactile.arrays import Floats
 from tactile.texture.descriptor import About, Descriptor
 from tactile.texture.fitting import describe, measure_slides
+from tactile.texture.modulation_fit import find_modulations
 from tactile.texture.recorded_slide import Recorded
 
 ABOUT = About(
@@ -96,3 +97,10 @@ def test_noise_has_no_ribs() -> None:
     """None of 30 pairs of strokes has any: the rate is below 10 % with 95 % confidence (0.9^30)."""
     for seed in range(30):
         assert fitted(slides(seed=seed)).modulation == ()
+
+
+def test_a_stroke_too_short_for_what_the_fastest_one_can_tell_has_no_ribs() -> None:
+    """Ten periods in 21 mm are 480 cycles/m; at 0.5 m/s a line must be below 200."""
+    rng, center = np.random.default_rng(0), 1e3 * 10 ** (np.arange(16) / 10)
+    strokes = [noise(rng, 2600), noise(rng, 60_000)]
+    assert find_modulations(strokes, STEP, np.array([0.005, 0.5]), center) == []

@@ -126,7 +126,7 @@ def _relative_power(
     """
     count = next_fast_len(PADDING * len(envelope), real=True)
     frequency = np.asarray(np.fft.rfftfreq(count, step), np.float64)
-    inside = (frequency >= low / 2) & (frequency <= 1.5 * high)
+    inside = (frequency >= low / 2) & (frequency <= 1.5 * max(low, high))
     power = np.abs(np.fft.rfft(envelope * np.hanning(len(envelope)), count)[inside]) ** 2
     near, far = (round(width * count / len(envelope)) for width in (LINE, AROUND))
     around = np.abs(np.arange(-far, far + 1)) > near

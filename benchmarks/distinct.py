@@ -22,9 +22,9 @@ from tactile.texture.surface import Texture, load_texture
 
 DURATION = 1.5
 """Duration of the stroke whose limits set the gain [s]."""
-DISTINCT, LOUD, MEISSNER, LOWEST = 22, 20, 27, 6.0
-"""Least numbers of textures that are distinct at gain 1, that are so at the largest gain, and that
-reach Meissner channels; and least level of a texture [dB SL]."""
+DISTINCT, MEISSNER, LOWEST = 20, 25, 6.0
+"""Least numbers of textures that are to be distinct and to reach Meissner channels, which are half
+of them, and least level of a texture [dB SL]."""
 
 
 def measure_distinct() -> Iterator[Figure]:
@@ -48,7 +48,7 @@ def measure_distinct() -> Iterator[Figure]:
         for name, texture in library.items()
     }
     felt = {name: impression(display, t, usual, gain=gains[name]) for name, t in library.items()}
-    yield from _counts("80 mm/s, largest gain", felt, LOUD, MEISSNER)
+    yield from _counts("80 mm/s, largest gain", felt, DISTINCT, MEISSNER)
     lowest = float(np.min([max(f.pacini, f.meissner) for f in felt.values()]))
     yield at_least("distinct, lowest level, 80 mm/s, largest gain", lowest, "dB SL", LOWEST)
 

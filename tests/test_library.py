@@ -209,7 +209,7 @@ GAIN = 4.0
 """Gain at which replayed skin vibration feels equal: 3 for fine to 5 for coarse textures
 (README)."""
 JND_DB = 2.5
-"""Amplitude, 2.2-2.5 dB (Israr & Tan 2006, as the README has it)."""
+"""Just noticeable difference of a level, of 1.65-2.98 dB (Israr, Tan & Reed 2006) [dB]."""
 JND_FRICTION = 1.25
 """Ratio of kinetic coefficients; above 20 % is noticed [Friction constancy]."""
 THRESHOLD_HZ = [10, 20, 31.5, 40, 63, 80, 100, 125, 160, 200, 250, 315, 400]

@@ -4,14 +4,17 @@ The recordings are judged only in CI, because they are not shipped and take minu
 """
 
 import os
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.random import Generator
+from scipy.io import wavfile
 from scipy.signal import freqz, lfilter
 from scipy.special import polygamma
 
-from benchmarks.fit import recordings
+from benchmarks.fit import FABRICS, recordings
 from benchmarks.realism import measure_realism
 from benchmarks.realism.entrants import (
     ENTRANTS,
@@ -25,7 +28,19 @@ from benchmarks.realism.entrants import (
     line_spectral_frequencies,
 )
 from benchmarks.realism.features import FABRIC, SKIN, WHOLE, amplitudes
-from benchmarks.realism.judgments import FAMILIES, Fold, Split, area_under_curve, mean_of
+from benchmarks.realism.judgments import (
+    FAMILIES,
+    Fold,
+    Source,
+    Split,
+    area_under_curve,
+    either_way,
+    folds_of,
+    mean_of,
+    nearest_speeds,
+    one_speed,
+    own_speed,
+)
 from tactile.arrays import Floats
 from tactile.texture.formats.hatt import polynomial
 from tactile.texture.recorded_slide import Quantity, Recorded
@@ -241,6 +256,56 @@ def test_textures_have_about_the_spectrum_of_the_process_that_was_recorded(
     assert abs(np.mean(made - real)) < 0.1
 
 
+# Folds
+
+
+def test_a_classifier_that_errs_on_all_windows_tells_them_apart() -> None:
+    np.testing.assert_allclose(either_way(np.array([0.1, 0.5, 0.9])), [0.9, 0.5, 0.9])
+
+
+@dataclass
+class Witness:
+    """Entrant that replays a recording, and keeps at which speeds recordings it was given.
+
+    Attributes
+    ----------
+    given : list of tuple
+        Speed of the strokes, and those of the recordings [m/s].
+    """
+
+    given: list[tuple[float, list[float]]] = field(default_factory=list)
+
+    def strokes(
+        self, train: list[Recorded], speed: float, duration: float, count: int, rng: Generator
+    ) -> list[Recorded]:
+        """Return a recording as the only stroke."""
+        self.given.append((speed, [float(r.speed.mean()) for r in train]))
+        return train[:1]
+
+
+@pytest.mark.parametrize(
+    ("source", "trained", "tested"),
+    [
+        (nearest_speeds, [[0.05, 0.06], [0.06, 0.03], [0.05, 0.03]], [0.03, 0.05]),
+        (one_speed, [[0.05], [0.06], [0.05]], [0.03]),
+        (own_speed, [[0.03], [0.05], [0.06]], [0.02]),
+    ],
+)
+def test_strokes_are_made_from_the_recordings_that_are_chosen(
+    source: Source, trained: list[list[float]], tested: list[float], tmp_path: Path, rng: Generator
+) -> None:
+    """The recording at 20 mm/s is left out first: no other stroke is made from it."""
+    (tmp_path / "textsense").mkdir()
+    for key in FABRICS:
+        noise = (3000 * rng.standard_normal(6000)).astype(np.int16)
+        wavfile.write(tmp_path / "textsense" / f"denim_{key}.wav", 10_000, noise)
+    witness = Witness()
+    next(folds_of(tmp_path, "denim", witness, rng, source))
+    assert [speed for speed, _ in witness.given] == pytest.approx([0.03, 0.05, 0.06, 0.02])
+    for (_, given), expected in zip(witness.given, [*trained, tested], strict=True):
+        assert given == pytest.approx(expected)
+
+
 # Recordings
 
 
@@ -253,6 +318,8 @@ def test_the_judge_knows_recordings_from_noise_and_lines() -> None:
     assert value["realism.fabrics.white.all"] > 0.8
     assert value["realism.fabrics.mpeg.all"] > 0.8
     assert 0.3 < value["realism.fabrics.replayed.all"] < 0.75, "a recording passes for one"
+    assert value["realism.fabrics.rendered.own_speed.all"] < 0.65, "the speed is what tells"
+    assert value["realism.fabrics.hatt.either_way"] > value["realism.fabrics.hatt.all"]
     assert abs(value["realism.roughness.ar16.windows"] - GAUSSIAN) < 0.6
     assert value["realism.biotac.replayed.identified"] > 0.85
     for distance in ("one_stroke", "mean_of_strokes", "modulation"):

@@ -15,15 +15,20 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fit import FABRIC_NAMES, biotac, recordings
-from benchmarks.realism.entrants import ENTRANTS
+from benchmarks.realism.entrants import ENTRANTS, Entrant
 from benchmarks.realism.judgments import (
     EVERYTHING,
     FAMILIES,
     Mean,
+    Source,
     Split,
     drift,
+    either_way,
     folds_of,
     mean_of,
+    nearest_speeds,
+    one_speed,
+    own_speed,
     roughness,
 )
 from tactile.arrays import Floats
@@ -50,15 +55,32 @@ def measure_realism() -> Iterator[Figure]:
 
 
 def _discriminated(folder: Path) -> Iterator[Figure]:
-    """Yield how well strokes over fabrics are told from recordings, by families of features."""
+    """Yield how well strokes over fabrics are told from recordings, by families of features.
+
+    The renderer is also judged with other recordings to fit, so that what it does to a spectrum is
+    seen apart from what the recordings tell of another speed.
+    """
     for name, entrant in ENTRANTS.items():
-        rng = np.random.default_rng(0)
-        folds = [fold for f in FABRIC_NAMES for fold in folds_of(folder, f, entrant, rng)]
-        weights = [len(fold.unseen["level"]) for fold in folds]
         alone = {family: (family,) for family in FAMILIES} if name in IN_DETAIL else {}
-        for label, families in (EVERYTHING | alone).items():
-            mean = mean_of([fold.area(families) for fold in folds], weights)
-            yield from _with_interval(f"realism.fabrics.{name}.{label}", mean, "AUC")
+        yield from _areas(folder, name, entrant, EVERYTHING | alone, nearest_speeds)
+    for source in (one_speed, own_speed):
+        name = f"rendered.{source.__name__}"
+        yield from _areas(folder, name, ENTRANTS["rendered"], {"all": FAMILIES}, source)
+
+
+def _areas(
+    folder: Path, name: str, entrant: Entrant, judged: dict[str, tuple[str, ...]], source: Source
+) -> Iterator[Figure]:
+    """Yield the areas under the curve of an entrant, by the label of the families judged."""
+    rng = np.random.default_rng(0)
+    folds = [fold for f in FABRIC_NAMES for fold in folds_of(folder, f, entrant, rng, source)]
+    weights = [len(fold.unseen["level"]) for fold in folds]
+    for label, families in judged.items():
+        area = np.array([fold.area(families) for fold in folds])
+        yield from _with_interval(f"realism.fabrics.{name}.{label}", mean_of(area, weights), "AUC")
+        if label == "all":
+            mean = mean_of(either_way(area), weights)
+            yield from _with_interval(f"realism.fabrics.{name}.either_way", mean, "AUC")
 
 
 def _rough(folder: Path) -> Iterator[Figure]:

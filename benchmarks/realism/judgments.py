@@ -4,7 +4,7 @@ What is averaged is grouped: windows by recording and speed, strokes by material
 resampled for the intervals of 95 %.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -60,6 +60,15 @@ def area_under_curve(positive: Floats, negative: Floats) -> float:
     """Return the share of pairs in which the positive one has the larger score (ties: half)."""
     above = positive[:, None] - negative
     return float(np.mean((above > 0) + 0.5 * (above == 0)))
+
+
+def either_way(area: Floats) -> Floats:
+    """Return how well windows are told apart (...) if a classifier may mistake each for the other.
+
+    A classifier that takes nearly all recordings for made strokes has an area near 0, and tells
+    them apart as well as one with an area near 1. The mean of both would be that of chance.
+    """
+    return np.maximum(area, 1 - area)
 
 
 class Classifier(Protocol):
@@ -124,35 +133,52 @@ class Fold:
         return area_under_curve(*scores)
 
 
-def folds_of(folder: Path, name: str, entrant: Entrant, rng: Generator) -> Iterator[Fold]:
+Source = Callable[[dict[str, Recorded], str], list[Recorded]]
+"""Choice of the recordings by name from which strokes at the speed of one of them are made."""
+
+
+def nearest_speeds(recordings: dict[str, Recorded], key: str, count: int = 2) -> list[Recorded]:
+    """Return the recordings at the other speeds that are nearest to that of a name."""
+    others = [other for other in recordings if other != key]
+    others.sort(key=lambda other: abs(np.log(FABRICS[other] / FABRICS[key])))
+    return [recordings[other] for other in others[:count]]
+
+
+def one_speed(recordings: dict[str, Recorded], key: str) -> list[Recorded]:
+    """Return the recording at the one other speed that is nearest to that of a name."""
+    return nearest_speeds(recordings, key, 1)
+
+
+def own_speed(recordings: dict[str, Recorded], key: str) -> list[Recorded]:
+    """Return the recording of a name: nothing about another speed is to be predicted."""
+    return [recordings[key]]
+
+
+def folds_of(
+    folder: Path, name: str, entrant: Entrant, rng: Generator, source: Source = nearest_speeds
+) -> Iterator[Fold]:
     """Yield the windows of a fabric, with one speed after another left out.
 
-    Strokes are made from recordings at the two other speeds that are nearest. Those for training
-    are not made from the recording that is left out, which would make that one look like them.
+    Strokes are made from the recordings that ``source`` chooses. Those for training are not made
+    from the recording that is left out, which would make that one look like them.
     """
     recordings = {key: fabric(folder, name, key) for key in FABRICS}
     real = {key: unit_features(recorded) for key, recorded in recordings.items()}
 
-    def strokes_at(key: str, others: dict[str, Recorded]) -> Families:
-        train, duration = nearest_speeds(others, key), recordings[key].duration
+    def strokes_at(key: str, left: str) -> Families:
+        usable = {k: r for k, r in recordings.items() if k == key or k != left}
+        train, duration = source(usable, key), recordings[key].duration
         strokes = entrant.strokes(train, FABRICS[key], duration, SURFACES, rng)
         return together([unit_features(stroke) for stroke in strokes])
 
     for left in FABRICS:
-        others = {key: r for key, r in recordings.items() if key != left}
+        others = [key for key in FABRICS if key != left]
         yield Fold(
             seen=together([real[key] for key in others]),
-            made=together([strokes_at(key, others) for key in others]),
+            made=together([strokes_at(key, left) for key in others]),
             unseen=real[left],
-            test=strokes_at(left, others),
+            test=strokes_at(left, left),
         )
-
-
-def nearest_speeds(recordings: dict[str, Recorded], key: str) -> list[Recorded]:
-    """Return the recordings at the two other speeds that are nearest to that of a name."""
-    others = [other for other in recordings if other != key]
-    others.sort(key=lambda other: abs(np.log(FABRICS[other] / FABRICS[key])))
-    return [recordings[other] for other in others[:2]]
 
 
 def together(strokes: Sequence[Families]) -> Families:

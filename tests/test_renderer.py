@@ -37,7 +37,7 @@ FIRST = (
     "wood-oak",
 )
 """Textures played under both fingers; all others under one, by turns, in the longer run."""
-STRONG = {"abrasive-p80": 18, "rubber-crumb": 24, "textile-towel": 17}
+STRONG = {"abrasive-p80": 18, "textile-towel": 17}
 """Textures whose bursts want more than 100 V under the heavily loading finger on some surfaces (P80
 on three of ten, towel on one), and what is kept of them [dB]."""
 EACH = [(name, finger) for name in FIRST for finger in ("low", "high")] + [

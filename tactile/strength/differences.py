@@ -29,8 +29,8 @@ notices less below 20 dB SL, where most shipped textures play at gain 1.
 assume that a finger combines all seven. Two textures are distinct if it exceeds `DISTINCT` JND.
 The spatial pattern under an array, the tone of a grating and bursts of single features are left
 out, which makes the number smaller. Of the shipped textures at 80 mm/s and gain 1 on
-`reference-24`, 13 are mutually distinct, 10 with the differences of a masked finger, and 14 or 18
-with thresholds 5 dB higher or lower. With the largest gain of each, 17 are.
+`reference-24`, 13 are mutually distinct, 9 with the differences of a masked finger, and 13 or 18
+with thresholds 5 dB higher or lower. With the largest gain of each, 16 are.
 """
 
 import math

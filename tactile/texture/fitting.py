@@ -209,7 +209,6 @@ class RecordingMeasures:
         """
         owner = np.repeat(np.arange(len(self.slides)), [len(s.strokes) for s in self.slides])
         strokes = np.concatenate([np.flatnonzero(owner == k) for k in rows])
-
         return changed(
             self,
             slides=[self.slides[k] for k in rows],

@@ -40,8 +40,8 @@ PERIODS = 10
 """Smallest number of periods of an envelope in a stroke (assumed)."""
 FINEST = 1 / 8
 """Highest spatial frequency of an envelope, relative to the top of the bands in the fastest stroke.
-An envelope must be
-slow beside the vibration that it modulates: at 0.11, a depth of 0.8 is measured 0.07 too small."""
+An envelope must be slow beside the vibration that it modulates: at 0.11, a depth of 0.8 is measured
+0.07 too small."""
 LINE, AROUND = 3, 24
 """Half the width of a line, a little more than that under a Hann window, and half the width of its
 surroundings [1/length of the stroke]."""

@@ -37,9 +37,9 @@ FIRST = (
     "wood-oak",
 )
 """Textures played under both fingers; all others under one, by turns, in the longer run."""
-STRONG = {"abrasive-p80": 18, "textile-towel": 17}
-"""Textures whose bursts want more than 100 V under the heavily loading finger on some surfaces (P80
-on three of ten, towel on one), and what is kept of them [dB]."""
+STRONG = {"abrasive-p80", "textile-towel"}
+"""Textures whose bursts want more than 100 V under the heavily loading finger on one surface of
+ten; 42 and 52 dB are kept there."""
 EACH = [(name, finger) for name in FIRST for finger in ("low", "high")] + [
     pytest.param(name, ("low", "high")[k % 2], marks=pytest.mark.ci)
     for k, name in enumerate(sorted({*tactile.textures()} - {*FIRST}))
@@ -198,9 +198,7 @@ def test_acceleration_stop_and_reversal_are_played_at_40_db(name: str, finger: s
     r = tactile.render(display, tactile.load_texture(name), swing())
     if finger == "low" or name not in STRONG:
         assert r.limited_samples == 0
-    assert ratio_db(r.shear, felt(display, r.drive)) > (
-        STRONG.get(name, 40) if finger == "high" else 40
-    )
+    assert ratio_db(r.shear, felt(display, r.drive)) > 40
 
 
 def test_without_or_with_the_wrong_equalizer_it_is_not() -> None:

@@ -162,15 +162,15 @@ def test_a_client_waits_for_so_many_at_a_time_and_for_more_when_they_are_ready()
 def test_above_the_cap_of_memory_it_is_refused_and_nothing_goes_that_is_selected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Three textures of 30 MiB each fit in 95 MiB."""
-    monkeypatch.setattr(texture_store, "LARGEST_TEXTURES", 95)
+    """Three textures of 42 MiB each fit in 130 MiB."""
+    monkeypatch.setattr(texture_store, "LARGEST_TEXTURES", 130)
 
     async def story(bench: Bench) -> None:
         bench.selected |= {await bench.texture(1, seed) for seed in range(2)}
         spare = await bench.texture(1, 2)
         bench.selected.add(await bench.texture(1, 3))
         assert bench.dropped == [spare]
-        with pytest.raises(BusError, match=r"more than 95 MiB .* deselect others first") as told:
+        with pytest.raises(BusError, match=r"more than 130 MiB .* deselect others first") as told:
             await bench.texture(1, 4)
         assert "\n" not in str(told.value)
         assert bench.dropped == [spare]

@@ -21,7 +21,7 @@ MOST_TEXTURES = 16
 selected."""
 LARGEST_TEXTURES = 512
 """Maximum total size of the textures that are ready for one display [MiB], as playback holds them
-in locked memory; one takes 14 MiB, with a map up to 24 MiB, and with sparse events 16 MiB more."""
+in locked memory; one takes 26 MiB, with a map up to 48 MiB, and with sparse events 16 MiB more."""
 MOST_PREPARATIONS = 4
 """Maximum number of textures that a client waits for at a time: as many as it may select."""
 

@@ -35,7 +35,8 @@ def test_lift_off_and_touch_are_noticed_in_two_windows(case: Case) -> None:
     """The estimate of a window is known when the next one has been played.
 
     In air the filters are those of the free bender: its shear is as commanded, which under the
-    filters of the finger would be 20 dB too much at the resonance.
+    filters of the finger would be 20 dB too much at the resonance. Until they have faded in, what oak
+    commands at 640–1000 Hz rings there, which no load explains.
     """
     loop = Loop(case, Converter(), force=between, seconds=1.3)
     seconds = WINDOW / RATE
@@ -48,7 +49,8 @@ def test_lift_off_and_touch_are_noticed_in_two_windows(case: Case) -> None:
             assert touching.all()
         elif LIFTED + 4 * seconds < m.time < AGAIN:
             assert not touching.any()
-            assert np.all(m.estimate.inconsistency < 3)
+            if m.time > LIFTED + 5 * seconds:
+                assert np.all(m.estimate.inconsistency < 3)
     in_air = [m for m in known if LIFTED + 5 * seconds < m.time < AGAIN]
     assert len(in_air) > 5
     assert np.median(np.abs(in_air[-1].error)) < 0.5

@@ -25,7 +25,7 @@ from tactile.rendering import equalizer
 from tactile.rendering.shear import EventField, Law
 from tactile.rendering.skin_stretch import FrictionLaw
 from tactile.rendering.stroke import HISTORY, NODE, RESTING_SPEED, Stroke
-from tactile.texture.field import FieldReader
+from tactile.texture.field import FADE, THIRD, FieldReader
 from tactile.texture.surface import Texture, envelope_scale
 
 PHASORS = 8192
@@ -39,6 +39,10 @@ GRID = 0.1
 """Spacing of the entries in the table of the roll-off [Hz]."""
 ENTRIES = round(equalizer.STOP_BAND / GRID)
 """Index of the last entry in the table of the roll-off, that of the stop band."""
+
+FIELD_BAND = equalizer.STOP_BAND * THIRD**FADE
+"""Frequency from which on a level of a field fades, so that it is gone at the stop band [Hz]. The
+next level ends a third octave below, so that all waves up to 937 Hz are played at any speed."""
 
 
 def _interleaved(phasor: NDArray[np.complex128]) -> Singles:
@@ -136,12 +140,11 @@ class RealizedLayer:
         scale = envelope_scale(surface.envelope)
         self._to_shear[: self._bands] *= scale
         self._fields = [
-            FieldReader(field, contactors, band=equalizer.PASS_BAND, gain=scale)
-            for field in realized.fields
+            FieldReader(field, contactors, band=FIELD_BAND, gain=scale) for field in realized.fields
         ]
         self._density, self._is_map = realized.density, realized.map is not None
         highest = max((field.highest for field in realized.fields), default=1.0)
-        self._slow_squared = (equalizer.PASS_BAND / highest) ** 2
+        self._slow_squared = (FIELD_BAND / highest) ** 2
         self._to_envelope = _interleaved(surface.envelope.phasors(contactors))
         self._axes = display.shear_axes if display.projected else None
         self._events = None

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.special import i0
 
 from tactile.arrays import Floats
-from tactile.rendering.equalizer import PASS_BAND, roll_off
+from tactile.rendering.equalizer import roll_off
+from tactile.rendering.layer import FIELD_BAND
 from tactile.rendering.shear import Law
 from tactile.texture.density import Density
 from tactile.texture.descriptor import Events
@@ -149,7 +150,7 @@ def random_lines(density: Density, velocity: Floats) -> LineSpectrum:
     """
     size, along, power = density.met(float(np.arctan2(velocity[1], velocity[0])))
     squares = np.array([velocity @ velocity])
-    fastest = float(np.sqrt(density.met_squares(velocity[:, None], squares)[0])) / PASS_BAND
+    fastest = float(np.sqrt(density.met_squares(velocity[:, None], squares)[0])) / FIELD_BAND
     power = power * played_share(size * fastest, float(density.edges[-1]) * fastest) ** 2
     edges = np.append(0.0, density.edges[-1] * np.geomspace(1e-3, 1.0, RANDOM_LINES))
     met = np.histogram(along, edges, weights=np.broadcast_to(power, along.shape))[0]

@@ -68,9 +68,9 @@ carriers are below the range of the codes (docs/benchmarks.md).
 GOALS = {(16, 50.0): (0.8, 2.0, 0.06, 0.15), (16, 100.0): (0.3, 1.0, 0.03, 0.11)}
 """Largest permitted errors by carriers and frame rate [Hz].
 
-They are levels rms and worst [dB], and coherence rms and worst. The last one was 0.08 while textures
-had 16 bands. With 20, the 384 waves are 19 for a band instead of 24, and calf leather at 160 mm/s has
-so few at 12.5 Hz, below its lowest band, that its coherence there differs by 0.10.
+They are levels rms and worst [dB], and coherence rms and worst. The last one was 0.08 while
+textures had 16 bands. With 20, the 384 waves are 19 for a band instead of 24, and calf leather at
+160 mm/s has so few at 12.5 Hz, below its lowest band, that its coherence differs by 0.10 there.
 """
 GAIN = 3.0
 """Gain of the textures that are judged.

@@ -35,8 +35,8 @@ def test_lift_off_and_touch_are_noticed_in_two_windows(case: Case) -> None:
     """The estimate of a window is known when the next one has been played.
 
     In air the filters are those of the free bender: its shear is as commanded, which under the
-    filters of the finger would be 20 dB too much at the resonance. Until they have faded in, what oak
-    commands at 640–1000 Hz rings there, which no load explains.
+    filters of the finger would be 20 dB too much at the resonance. Until they have faded in, what
+    oak commands at 640–1000 Hz rings there, which no load explains.
     """
     loop = Loop(case, Converter(), force=between, seconds=1.3)
     seconds = WINDOW / RATE

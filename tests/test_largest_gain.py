@@ -20,13 +20,13 @@ from tactile.texture.surface import Texture, load_texture
 @pytest.mark.parametrize("trajectory", [Trajectory.line(speed=0.08, duration=2.0), swing(1.0)])
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_stroke_reaches_the_voltage_limit_and_is_not_limited(
-    pair: Display, oak: Texture, trajectory: Trajectory, seed: int
+    pair: Display, calf: Texture, trajectory: Trajectory, seed: int
 ) -> None:
-    summary = run(pair, oak, trajectory, device="mock:", gain="auto", seed=seed)
+    summary = run(pair, calf, trajectory, device="mock:", gain="auto", seed=seed)
     assert summary.gain_limit == "voltage"
     assert 0.985 * 100 < summary.peak_drive_v <= 100
     assert summary.limited_samples == 0
-    louder = run(pair, oak, trajectory, device="mock:", gain=1.03 * summary.gain, seed=seed)
+    louder = run(pair, calf, trajectory, device="mock:", gain=1.03 * summary.gain, seed=seed)
     assert louder.limited_samples > 0
 
 
@@ -47,7 +47,7 @@ def test_a_stroke_plays_the_largest_gain_where_there_is_one_and_else_gain_1(
     command: Command, tmp_path: Path
 ) -> None:
     """Textures play the largest gain without the option, all else as its file says."""
-    stroke = ["play", "leather-suede", "--device", "mock:", "--seconds", 0.2, "--json"]
+    stroke = ["play", "leather-calf", "--device", "mock:", "--seconds", 0.2, "--json"]
     default, largest = (command(*stroke, *more).json for more in ([], ["--gain", "auto"]))
     assert default["gain"] == largest["gain"] > 1
     assert default["gain_limit"] == "voltage"
@@ -55,7 +55,7 @@ def test_a_stroke_plays_the_largest_gain_where_there_is_one_and_else_gain_1(
     (tmp_path / "tap.ahap").write_text(
         '{"Pattern": [{"Event": {"Time": 0.0, "EventType": "HapticTransient"}}]}'
     )
-    at_rest = ["leather-suede", "--path", tmp_path / "rest.csv"]
+    at_rest = ["leather-calf", "--path", tmp_path / "rest.csv"]
     for played in (at_rest, [tmp_path / "tap.ahap"]):
         summary = command("play", *played, "--device", "mock:", "--json").json
         assert (summary["gain"], summary["gain_limit"]) == (1.0, None)

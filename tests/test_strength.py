@@ -189,13 +189,13 @@ def test_a_projecting_display_plays_the_cosine(tmp_path: Path, pair: Display) ->
 # Limits
 
 
-def test_too_much_is_limited_and_the_automatic_gain_is_not(pair: Display, suede: Texture) -> None:
-    gain = automatic_gain(pair, suede)
+def test_too_much_is_limited_and_the_automatic_gain_is_not(pair: Display, calf: Texture) -> None:
+    gain = automatic_gain(pair, calf)
     assert gain.limit == "voltage"
-    assert played(pair, amplified(suede, gain.value), 0.6).limited_samples == 0
-    assert played(pair, amplified(suede, 1.6 * gain.value), 10.0).limited_samples > 0
-    assert texture_strength(pair, suede, gain=1.6 * gain.value).limited_share > 0
-    as_found = texture_strength(pair, suede, gain=gain.value)
+    assert played(pair, amplified(calf, gain.value), 0.6).limited_samples == 0
+    assert played(pair, amplified(calf, 1.6 * gain.value), 10.0).limited_samples > 0
+    assert texture_strength(pair, calf, gain=1.6 * gain.value).limited_share > 0
+    as_found = texture_strength(pair, calf, gain=gain.value)
     assert as_found.limited_share == 0
     assert as_found.automatic == gain
     assert as_found.drive_peak == pytest.approx(gain.drive_peak)

@@ -23,13 +23,13 @@ amplitude for k cycles per pixel, at most −38 dB at the highest wave number, w
 pixels at each place instead of 9, in twice the time.
 
 **Levels.** A finger that moves at v turns the wave number κ into the frequency κ v, and what is
-above 1 kHz is not played. Graphics hardware prefilters textures for that (Williams, "Pyramidal
-parametrics", SIGGRAPH 1983). Level j holds the waves below κ₀ 10^(−j/10), each level a third octave
-less than the one before, in pixels that double in size with every octave. At most speeds one level
-is read, the finest one that ends below 1 kHz. Over the first quarter of a third octave of speed
-after a level has reached 1 kHz, it is mixed with the next one. In a rectangle, the components of a
-wave number along x and along y end there, as those of a picture do, and count at the speed
-|vx| + |vy|.
+above some frequency is not played. Graphics hardware prefilters textures for that (Williams,
+"Pyramidal parametrics", SIGGRAPH 1983). Level j holds the waves below κ₀ 10^(−j/10), each level a
+third octave less than the one before, in pixels that double in size with every octave. At most
+speeds one level is read, the finest one that ends below the band of the reader. Over the first
+quarter of a third octave of speed after a level has reached it, it is mixed with the next one. In a
+rectangle, the components of a wave number along x and along y end there, as those of a picture do,
+and count at the speed |vx| + |vy|.
 """
 
 import math

@@ -295,6 +295,7 @@ def test_the_command_tells_how_the_finger_was_followed(
         "--calibration", calibrated[0].written,
     )  # fmt: skip
     assert said.code == 0
+    assert re.search(r"^gain +1 *$", said.out, re.MULTILINE)
     assert "follows the finger, to ± " in said.out
     assert "on 100% of the contactors" in said.out
 

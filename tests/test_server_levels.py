@@ -22,9 +22,11 @@ from tactile.texture.surface import load_texture
 RATE = 8000.0
 
 
-def prepared(display: Display, name: str, *, largest: bool) -> tuple[RealizedLayer, float]:
+def prepared(
+    display: Display, name: str, *, largest: bool, follows: bool = False
+) -> tuple[RealizedLayer, float]:
     """Return a texture as the server prepares it, and the gain in its description."""
-    request = PreparationRequest(1, display, name, 3, DeviceOpened(), largest)
+    request = PreparationRequest(1, display, name, 3, DeviceOpened(follows=follows), largest)
     layer, description = prepare(request)
     assert isinstance(layer, RealizedLayer)
     return layer, description.gain
@@ -70,6 +72,11 @@ def test_the_levels_of_the_file_have_gain_1(pair: Display) -> None:
     np.testing.assert_allclose(
         vibration[1], larger * vibration[0], atol=1e-3 * np.ptp(vibration[1])
     )
+
+
+def test_a_finger_that_is_followed_has_the_levels_of_the_file(pair: Display) -> None:
+    """The largest gain is that of the display's own finger, and a stiffer one allows less."""
+    assert prepared(pair, "wood-oak", largest=True, follows=True)[1] == 1.0
 
 
 def test_a_texture_with_nothing_to_play_has_gain_1(tmp_path: Path, pair: Display) -> None:

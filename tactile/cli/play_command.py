@@ -79,8 +79,8 @@ def run(
         str | None,
         typer.Option(
             help="Factor that multiplies the texture, or auto for the largest one at which the "
-            "stroke stays within the limits of the display; by default auto, and 1 for an effect "
-            "or a finger at rest."
+            "stroke stays within the limits of the display with the finger of its file; by default "
+            "auto, and 1 for an effect, a finger at rest or with --finger follow."
         ),
     ] = None,
     record: Annotated[

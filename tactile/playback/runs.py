@@ -365,8 +365,9 @@ def run(
         URL of the bus.
     gain : float, "auto" or None
         Factor on the texture's displacement; "auto" for the largest that the limits allow
-        (`largest_gain`). None is "auto" where something can be amplified, and 1 for an effect, a
-        finger at rest and a texture that leaves nothing to play.
+        (`largest_gain`) with the finger of the display. None is "auto" where something can be
+        amplified, and 1 for an effect, a finger at rest, a texture that leaves nothing to play, and
+        with a calibration, because a stiffer finger than that of the display allows less.
     sample_rate : float, optional
         Sample rate of the drive, by default the choice of the device [Hz].
     seed : int
@@ -407,6 +408,8 @@ def run(
     ) as bus:
         rate = summary.sample_rate_hz = bus.wiring.sample_rate
         following = None if calibration is None else FingerFollowing(display, bus, calibration)
+        if gain is None and following is not None:
+            gain = 1.0
         _set_gain(summary, gain, display, texture, trajectory, seed)
         surface, waveform = _amplified(display, texture, summary.gain, rate)
         try:

@@ -195,6 +195,8 @@ class DisplayConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     levels : str
         What a texture of gain 1 plays: `largest`, with the largest gain that the limits of the
         display leave unchanged in strokes of 40, 80 and 160 mm/s; `file`, the levels of its file.
+        While the finger is followed, textures have the levels of their files, because a stiffer
+        finger than that of the display file allows less.
     arm_on_start : bool
         Whether to arm the display when the server starts, without a client.
     rearm : bool

@@ -108,7 +108,9 @@ def prepare(request: PreparationRequest) -> tuple[PreparedTexture, TextureDescri
         If the file of the texture cannot be used.
     """
     texture, source = load_with_source(request.texture)
-    gain = gain_at_usual_speeds(request.display, texture) if request.largest else 1.0
+    # which gain is the largest is not known for a finger that is still to be followed
+    largest = request.largest and not request.how.follows
+    gain = gain_at_usual_speeds(request.display, texture) if largest else 1.0
     prepared = realized(request.display, texture, request.seed, request.how, gain=gain)
     return prepared, TextureDescription(request.number, request.seed, source, gain)
 

@@ -30,7 +30,7 @@ accuracy of the speed."""
 APART = 1.15
 """Ratio from which on two speeds, or two forces, count as different."""
 NEIGHBORHOOD = 0.5
-"""Width of the median that estimates the power around a line [octaves]."""
+"""Width of the two medians, together, that estimate the power around a line [octaves]."""
 PADDING = 4
 """Factor by which strokes are zero-padded at least for their spectrum."""
 PLACES = 61
@@ -149,15 +149,21 @@ def vertices(frequency: Floats, power: Floats, index: NDArray[np.intp]) -> Float
 
 
 def _surroundings(frequency: Floats, power: Floats) -> Floats:
-    """Estimate the mean power around each frequency from the median, which lines hardly change.
+    """Estimate the mean power around each frequency from medians, which lines hardly change.
 
-    The median of a periodogram of noise is ln 2 times its mean.
+    The median of a periodogram of noise is ln 2 times its mean. The larger one of those below and
+    above a frequency counts, so that nothing rises above its surroundings because these end there
+    (Hansen and Sawyers, IEEE Transactions on Aerospace and Electronic Systems 1980).
     """
     even = np.geomspace(frequency[0], frequency[-1], 2 * len(frequency))
     octaves = np.log2(frequency[-1] / frequency[0])
-    size = max(int(len(even) * NEIGHBORHOOD / octaves), 9)
-    median = median_filter(np.interp(even, frequency, power), size, mode="reflect")
-    return np.asarray(np.interp(frequency, even, median / np.log(2)))
+    half = max(int(len(even) * NEIGHBORHOOD / octaves / 2), 9)
+    around = np.interp(even, frequency, power)
+    below, above = (
+        median_filter(around, half, mode="reflect", origin=origin)
+        for origin in ((half - 1) // 2, -(half // 2))
+    )
+    return np.asarray(np.interp(frequency, even, np.maximum(below, above) / np.log(2)))
 
 
 def differ(values: Floats) -> bool:

@@ -22,6 +22,8 @@ from tactile.texture.map_pixels import unpacked
 FEWEST_BANDS, MOST_BANDS = 4, 41
 """Limits of the number of third-octave bands in the random part of a texture. Four bands are more
 than an octave; 41 cover all spatial frequencies that a file may state, 0.01 to 100 cycles/mm."""
+FINEST_GRATING = 50
+"""Highest spatial frequency of a grating [cycles/mm]."""
 LARGEST_MAP = 1 << 18
 """Maximum number of pixels of a map, which take 700 kB of the 1 MiB that a file may have. They
 cover a square of 28 mm up to 8 cycles/mm, of 9 mm up to 25 cycles/mm."""
@@ -199,7 +201,7 @@ class Periodic(_Part, frozen=True, kw_only=True):
         Direction across the pattern.
     """
 
-    wavelength_mm: Annotated[float, Meta(ge=0.02, le=100)]
+    wavelength_mm: Annotated[float, Meta(ge=1 / FINEST_GRATING, le=100)]
     harmonics_um: Annotated[tuple[Micrometers, ...], Meta(min_length=1, max_length=32)]
     phases_deg: tuple[Degrees, ...] = ()
     jitter: Annotated[float, Meta(ge=0, le=0.3)] = 0.0

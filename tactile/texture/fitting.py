@@ -24,6 +24,7 @@ from tactile.texture.bands import BELOW, third_octaves
 from tactile.texture.clicks import Clicks, find_clicks
 from tactile.texture.descriptor import (
     FEWEST_BANDS,
+    FINEST_GRATING,
     About,
     Descriptor,
     Events,
@@ -57,6 +58,9 @@ CORE = 25.0, 800.0
 """Centers of the lowest and the highest band at the reference speed that every fit has. An assumed
 level and the kurtosis are those of the bands between them: below, a hand and a short recording
 count [Hz]."""
+SHORT = 0.1
+"""Largest part of a band by which bands may end below the one around the higher frequency of
+`CORE`."""
 SLOWEST = 0.02
 """Speed at which bands reach the higher frequency of `CORE` where no recording is slower, so that a
 texture of fast strokes is not silent in slow ones [m/s]."""
@@ -278,7 +282,8 @@ def measure_slides(
     progress("lines")
     strokes = [u for s in slides for u in s.strokes]
     speed = np.array([s.speed for s in slides for _ in s.strokes])
-    lines = common_lines(strokes, step, speed, third_octaves(center)[-1])
+    finest = min(third_octaves(center)[-1], FINEST_GRATING * 1e3)
+    lines = common_lines(strokes, step, speed, finest)
     gratings = find_gratings(strokes, step, speed, lines)
     slides = [changed(s, bare=[without(u, step, gratings) for u in s.strokes]) for s in slides]
     progress("bands")
@@ -311,7 +316,8 @@ def _centers(speed: Floats, reference: float) -> Floats:
     """Return the exact band centers (IEC 61260-1) for recordings at given speeds [cycles/m]."""
     low, high = _core(reference)
     low = min(low, int(np.ceil(10 * np.log10(LOWEST / BELOW / speed.max() * 1e-3))))
-    high = max(high, round(10 * np.log10(CORE[1] / min(speed.min(), SLOWEST) * 1e-3)))
+    highest = 10 * np.log10(CORE[1] / min(speed.min(), SLOWEST) * 1e-3)
+    high = max(high, int(np.ceil(highest - SHORT)))
     return _numbered(np.arange(max(low, OUTER[0]), min(high, OUTER[1]) + 1))
 
 

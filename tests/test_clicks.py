@@ -77,6 +77,31 @@ def test_clicks_are_found_with_their_heights_and_removed() -> None:
         assert np.abs(left - before).max() < 5e-6
 
 
+def test_a_stroke_whose_clicks_hide_each_other_does_not_hide_those_of_others() -> None:
+    """Four clicks within 4 mm raise what counts as the noise around them, and most stay."""
+    strokes = noise(np.random.default_rng(5))
+    for k, stroke in enumerate(strokes):
+        for place in (0.4, 0.42, 0.44, 0.46) if k == 0 else (0.2 + 0.1 * k,):
+            along = (np.arange(SIZE) * STEP - place * LENGTH) * FWHM / 0.225e-3
+            stroke += (40e-6 if k == 0 else 20e-6) * np.exp(-(along**2) / 2)
+    found, rest = found_in(strokes)
+    assert found is not None
+    assert (found.shape, found.width) == ("pulse", pytest.approx(0.225e-3))
+    assert len(found.heights[0]) < 4
+    assert excess_kurtosis(rest[0], STEP, center=CENTER) > 10
+    seen = [np.abs(heights - 20e-6).min(initial=np.inf) for heights in found.heights[1:]]
+    assert np.count_nonzero(np.array(seen) < 4e-6) >= 4
+
+
+def test_bands_too_fine_for_the_narrowest_clicks_have_none() -> None:
+    """Periods of the lowest band, 0.13 mm, are less than two of the narrowest clicks, 0.1 mm."""
+    strokes = noise(np.random.default_rng(2))
+    strokes[:, 3000:3020] += 50e-6
+    found, rest = find_clicks(list(strokes), STEP, CENTER[8:], [range(STROKES)])
+    assert found is None
+    np.testing.assert_array_equal(rest, strokes)
+
+
 def test_strokes_with_too_few_clicks_are_left_as_they_are() -> None:
     strokes = noise(np.random.default_rng(2))
     strokes[0, 3000:3020] += 50e-6

@@ -2,7 +2,7 @@
 
 Clicks are sought by matched filters for noise with the spectrum of the recording. What counts is
 the height of a click over the noise within a few widths: an envelope that raises the noise raises
-both. The width and shape are taken whose clicks stand out most.
+both. The width and shape are taken without whose clicks the least kurtosis remains.
 
 A straight stroke that passes an event of peak A at a distance r meets the height A exp(−r²/2σ²).
 Over a length, Σ heightᵏ/L is therefore λ⟨Aᵏ⟩ σ √(2π/k) for a density λ of events (Campbell's
@@ -43,13 +43,14 @@ PASSES = 5
 FEWEST = 5
 """Smallest number of clicks from which their statistics are written (assumed)."""
 SMALLEST, REMAINING = 0.5, 0.3
-"""Smallest mean excess kurtosis of strokes that have clicks, and largest share of it that may
+"""Smallest median excess kurtosis of strokes that have clicks, and largest share of it that may
 remain without them. The highest peaks of noise under an envelope hold less than 0.7 of its kurtosis
 (0.56–0.66 where the envelope is as fast as clicks are wide)."""
 WIDEST = 0.5
 """Largest width of a click, in periods of the lowest band."""
 ROUNDS = 2
-"""Number of searches, each with the spectrum of the noise without the clicks of the one before."""
+"""Number of searches, each with the spectrum of the noise without the clicks of the one before. The
+one that leaves the least kurtosis counts."""
 SHAPES: tuple[Shape, ...] = ("pulse", "edge")
 """Shapes that are tried."""
 SPREADS = np.linspace(0, 1, 41)
@@ -151,35 +152,38 @@ def find_clicks(
     Returns
     -------
     clicks : Clicks or None
-        Clicks of the shape and width that stand out most: by the sum of the squares of their
-        relative heights, less that of as many clicks at the threshold. None if there are fewer than
-        `FEWEST`, or if more than `REMAINING` of the kurtosis remains without them.
+        Clicks of the shape and width without which the least kurtosis remains. None if there are
+        fewer than `FEWEST`, or if more than `REMAINING` of the kurtosis remains.
     rest : list of (S,) array of float
         Strokes without them [m].
     """
-    peaked = _kurtosis(strokes, step, center)
-    clicks, rest = None, list(strokes)
-    if peaked < SMALLEST:
-        return clicks, rest
+    best: tuple[Clicks | None, list[Floats]] = None, list(strokes)
+    peaked, rest = _kurtosis(strokes, step, center), best[1]
+    widths = WIDTHS[WIDTHS * center[0] <= WIDEST]
+    if peaked < SMALLEST or not len(widths):
+        return best
+    least = REMAINING * peaked
     for _ in range(ROUNDS):
         level = np.zeros((len(strokes), len(center)))
         for group in groups:
             level[group] = quiet_levels([rest[k] for k in group], step, center)
-        most = 0.0
-        for shape in SHAPES:
-            for width in WIDTHS[WIDTHS * center[0] <= WIDEST]:
-                tried, left, gain = _removed(strokes, step, center, level, shape, width)
-                if gain > most:
-                    clicks, rest, most = tried, left, gain
-    few = clicks is None or sum(map(len, clicks.heights)) < FEWEST
-    if few or _kurtosis(rest, step, center) > REMAINING * peaked:
-        return None, list(strokes)
-    return clicks, rest
+        clicks, rest = min(
+            (
+                _removed(strokes, step, center, level, shape, width)
+                for shape in SHAPES
+                for width in widths
+            ),
+            key=lambda removed: _kurtosis(removed[1], step, center),
+        )
+        remaining = _kurtosis(rest, step, center)
+        if remaining <= least and sum(map(len, clicks.heights)) >= FEWEST:
+            best, least = (clicks, rest), remaining
+    return best
 
 
 def _kurtosis(strokes: Sequence[Floats], step: float, center: Floats) -> float:
-    """Return the mean excess kurtosis of strokes."""
-    return float(np.mean([excess_kurtosis(u, step, center=center) for u in strokes]))
+    """Return the median excess kurtosis of strokes; one that keeps a click would be the mean."""
+    return float(np.median([excess_kurtosis(u, step, center=center) for u in strokes]))
 
 
 def _removed(
@@ -189,15 +193,15 @@ def _removed(
     level: Floats,
     shape: Shape,
     width: float,
-) -> tuple[Clicks, list[Floats], float]:
-    """Return the clicks of one shape and width, strokes without them, and how they stand out."""
+) -> tuple[Clicks, list[Floats]]:
+    """Return the clicks of one shape and width, and the strokes without them."""
     parts = [
         Matched(len(u), step, center, noise, shape, width).without_clicks(u)
         for u, noise in zip(strokes, level, strict=True)
     ]
-    heights, seen, rest, gain = zip(*parts, strict=True)
+    heights, seen, rest = zip(*parts, strict=True)
     length = np.array([len(u) * step for u in strokes])
-    return Clicks(shape, width, heights, np.array(seen), length), list(rest), sum(gain)
+    return Clicks(shape, width, heights, np.array(seen), length), list(rest)
 
 
 def quiet_levels(strokes: Sequence[Floats], step: float, center: Floats) -> Floats:
@@ -285,7 +289,7 @@ class Matched:
         peaks, _ = find_peaks(ratio, height=PROMINENT, distance=self._apart)
         return peaks[(peaks >= self._ends) & (peaks < len(ratio) - self._ends)]
 
-    def without_clicks(self, stroke: Floats) -> tuple[Floats, float, Floats, float]:
+    def without_clicks(self, stroke: Floats) -> tuple[Floats, float, Floats]:
         """Find clicks and remove them.
 
         Parameters
@@ -301,10 +305,8 @@ class Matched:
             Height from which on clicks are seen [m].
         rest : (S,) array of float
             Displacement without them [m].
-        gain : float
-            Sum of the squares of relative heights, less that of as many clicks at the threshold.
         """
-        heights, rest, gain = [np.zeros(0)], stroke, 0.0
+        heights, rest = [np.zeros(0)], stroke
         for _ in range(PASSES):
             height, noise = self._heights(rest)
             ratio = np.abs(height / noise)
@@ -316,5 +318,4 @@ class Matched:
             clicks = np.fft.rfft(train) * np.fft.rfft(self.click)
             rest = rest - np.fft.irfft(clicks, len(stroke))
             heights.append(height[places])
-            gain += float(np.sum(ratio[places] ** 2 - PROMINENT**2))
-        return np.concatenate(heights), PROMINENT * float(np.median(noise)), rest, gain
+        return np.concatenate(heights), PROMINENT * float(np.median(noise)), rest

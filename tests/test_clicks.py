@@ -86,7 +86,8 @@ def test_a_stroke_whose_clicks_hide_each_other_does_not_hide_those_of_others() -
             stroke += (40e-6 if k == 0 else 20e-6) * np.exp(-(along**2) / 2)
     found, rest = found_in(strokes)
     assert found is not None
-    assert (found.shape, found.width) == ("pulse", pytest.approx(0.225e-3))
+    assert found.shape == "pulse"
+    assert found.width == pytest.approx(0.225e-3)
     assert len(found.heights[0]) < 4
     assert excess_kurtosis(rest[0], STEP, center=CENTER) > 10
     seen = [np.abs(heights - 20e-6).min(initial=np.inf) for heights in found.heights[1:]]

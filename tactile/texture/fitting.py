@@ -318,7 +318,7 @@ def _centers(speed: Floats, reference: float) -> Floats:
     low = min(low, int(np.ceil(10 * np.log10(LOWEST / BELOW / speed.max() * 1e-3))))
     highest = 10 * np.log10(CORE[1] / min(speed.min(), SLOWEST) * 1e-3)
     high = max(high, int(np.ceil(highest - SHORT)))
-    return _numbered(np.arange(max(low, OUTER[0]), min(high, OUTER[1]) + 1))
+    return _numbered(np.arange(max(low, OUTER[0]), min(high, OUTER[1]) + 1.0))
 
 
 def _numbered(band: Number) -> Number:

@@ -838,10 +838,10 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     normal_force_n : float
         Normal force of the finger [N].
     shear_um : list of float or null
-        Commanded shear of each contactor [µm]; null on a link that takes spectrum frames, for which
-        it is not computed.
+        Commanded shear of each contactor, 0 while nothing plays [µm]; null on a link that takes
+        spectrum frames, for which it is not computed.
     drive_v : list of float
-        Drive of each contactor [V].
+        Drive of each contactor, 0 while nothing plays [V].
     counters : dict of str to int
         Counters as in `StatsReply`.
     put_out_share : float or null

@@ -348,6 +348,10 @@ def test_the_report_tells_what_is_played(stage: Stage) -> None:
     assert stage.memory.drive.any()
     assert stage.memory.shear.any()
     assert stage.player.position == 250 * BLOCK
+    stage.player.disarm()
+    stage.player.write_report()
+    assert not stage.memory.drive.any()
+    assert not stage.memory.shear.any()
 
 
 def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) -> None:

@@ -287,4 +287,6 @@ class PlaybackLoop(Mixer):
             )
         )
         self.memory.write_report(r)
-        self.memory.shear[:], self.memory.drive[:] = self.rendering.shear, self.rendering.drive
+        rendering = self.rendering if self.running else None  # else the last block is not played
+        self.memory.shear[:] = 0.0 if rendering is None else rendering.shear
+        self.memory.drive[:] = 0.0 if rendering is None else rendering.drive

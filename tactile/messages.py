@@ -490,9 +490,12 @@ class Subscribe(DisplayRequest, frozen=True, kw_only=True, tag="subscribe"):
     ----------
     rate_hz : float
         Messages per second [Hz]; 0 ends the subscription.
+    contactor : int or null
+        Contactor whose commanded shear the messages hold sample by sample; null for none.
     """
 
     rate_hz: Annotated[float, Meta(ge=0, le=100)]
+    contactor: Annotated[int, Meta(ge=0, le=4095)] | None = None
 
 
 class GetStats(DisplayRequest, frozen=True, kw_only=True, tag="get_stats"):
@@ -539,6 +542,9 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
         Number of the latest e-stop, cleared or not; 0 if there has been none.
     follows : bool
         Whether playback follows the finger, so that `TelemetryMessage` has the loads that it finds.
+    threshold_um : list of pair of float
+        Pairs of a frequency [Hz] and the peak of a shear of that frequency that is just felt [µm],
+        in third octaves; linear between them in the logarithms.
     """
 
     name: str
@@ -551,6 +557,7 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
     estop: int = 0
     latest_estop: int = 0
     follows: bool = False
+    threshold_um: tuple[tuple[float, float], ...] = ()
 
 
 class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
@@ -820,6 +827,29 @@ class TelemetryFinger(Struct, frozen=True, kw_only=True):
     guarded: tuple[bool, ...]
 
 
+class TelemetryTrace(Struct, frozen=True, kw_only=True):
+    """Commanded shear of one contactor, sample by sample.
+
+    Attributes
+    ----------
+    contactor : int
+        Index of the contactor.
+    sample_rate_hz : float
+        Rate of the samples [Hz].
+    first : int
+        Number of the first sample. It continues the message before unless samples are missing, and
+        begins anew when playback is started again.
+    shear_um : bytes
+        Samples since the message before as little-endian float32, none while nothing plays [µm]; a
+        binary field of MessagePack (a base64 string in JSON).
+    """
+
+    contactor: int
+    sample_rate_hz: float
+    first: int
+    shear_um: bytes
+
+
 class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     """State of a display at one instant, sent at the rate that `Subscribe` asked for.
 
@@ -848,6 +878,9 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
         Share that was put out, as in `StatsReply`.
     finger : TelemetryFinger or null
         Loads of the finger on a display that follows it; null where they are not known.
+    trace : TelemetryTrace or null
+        Shear of the contactor that `Subscribe` named; null without one, and on a link that takes
+        spectrum frames.
     """
 
     display: str
@@ -861,6 +894,7 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     counters: dict[str, int]
     put_out_share: float | None = None
     finger: TelemetryFinger | None = None
+    trace: TelemetryTrace | None = None
 
 
 Command = (

@@ -20,7 +20,7 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.block_rendering import SamplePlayback
 from tactile.playback.loop import PlaybackLoop
-from tactile.playback.shared_memory import PlaybackMemory
+from tactile.playback.shared_memory import TRACE, PlaybackMemory
 from tactile.playback.voice import Voice
 from tactile.playback.waves import Curve
 from tactile.rendering.contact import Trajectory
@@ -388,6 +388,38 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
         skipped = memory.report().counters["skipped_samples"]
         assert skipped >= 0.1 * RATE - 2 * player.rendering.spacing
         assert memory.report().put_out_share <= 1 - skipped / player.position < 1
+    memory.close()
+
+
+def test_the_trace_is_the_commanded_shear_sample_by_sample(stage: Stage, display: Display) -> None:
+    stage.slide(0.5)
+    stage.player.write_report()
+    first, shear = stage.memory.trace(3, 2400)
+    assert (first, len(shear)) == (2400, 1600)
+    assert shear[-1] == stage.memory.shear[3]
+    stroke = Trajectory.line(speed=SPEED, duration=0.5, normal_force=0.5)
+    wanted = render(display, load_texture("wood-oak"), stroke).shear[:, 3]
+    single = 2**-24 * np.abs(wanted).max()  # rounding
+    np.testing.assert_allclose(shear, wanted[2400:], rtol=0, atol=4 * single)
+
+
+def test_of_a_trace_the_newer_half_is_read_and_its_samples_are_numbered() -> None:
+    memory = PlaybackMemory.create(2)
+    reader = PlaybackMemory(memory.handle, 2)
+    block = np.arange(BLOCK, dtype=np.float64)
+    for k in range(2 * TRACE // BLOCK + 3):
+        number = k * BLOCK + block
+        memory.write_trace(np.column_stack([number, -number]))
+    end = 2 * TRACE + 3 * BLOCK
+    assert reader.traced == end
+    for contactor, sign in enumerate((1, -1)):
+        first, shear = reader.trace(contactor, end - 100)
+        np.testing.assert_array_equal(sign * shear, np.arange(end - 100, end))
+        assert first == end - 100
+        first, shear = reader.trace(contactor, 5)
+        assert first == end - TRACE // 2
+        np.testing.assert_array_equal(sign * shear, np.arange(first, end))
+    assert [len(reader.trace(0, end + ahead)[1]) for ahead in (0, 1, 10**6)] == [0, 0, 0]
     memory.close()
 
 

@@ -445,6 +445,49 @@ def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
     assert len(told.shear_um) == len(told.drive_v) == 24
 
 
+def traces(program: Program) -> list[m.TelemetryTrace]:
+    """Return the traces that have come to a program."""
+    outbox = program.client.outbox
+    came = program.runner.call(lambda: [outbox.get_nowait() for _ in range(outbox.qsize())])
+    return [o.trace for o in came if isinstance(o, m.TelemetryMessage) and o.trace is not None]
+
+
+def test_the_shear_of_one_contactor_comes_sample_by_sample(program: Program) -> None:
+    """The effect is a sinusoid of 160 Hz and 5 µm; before it is armed nothing comes."""
+    program.ask(m.Subscribe(display=NAME, rate_hz=100.0, contactor=7))
+    program.until(lambda _: program.client.outbox.qsize() > 3)
+    assert {trace.shear_um for trace in traces(program)} == {b""}
+    program.ask(m.ArmDisplay(display=NAME))
+    program.until(lambda stats: stats.state == "armed")
+    program.ask(m.PlayNamedEffect(display=NAME, effect="hum"))
+    came: list[m.TelemetryTrace] = []
+
+    def played(_: m.StatsReply) -> bool:
+        program.touch()
+        came.extend(traces(program))
+        return sum(len(trace.shear_um) // 4 for trace in came) > 4000
+
+    program.until(played)
+    assert {(trace.contactor, trace.sample_rate_hz) for trace in came} == {(7, 8000.0)}
+    shear = np.concatenate([np.frombuffer(trace.shear_um, "<f4") for trace in came])
+    longest = max(range(0, len(shear) - 400, 50), key=lambda k: float(np.std(shear[k : k + 400])))
+    wave = shear[longest : longest + 400]
+    assert np.std(wave) * np.sqrt(2) == pytest.approx(5.0, rel=0.02)
+    assert np.argmax(np.abs(np.fft.rfft(wave))) == 160 * 400 // 8000
+    program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
+
+
+def test_a_contactor_that_is_none_is_refused_and_the_telemetry_goes_on(program: Program) -> None:
+    program.ask(m.Subscribe(display=NAME, rate_hz=100.0))
+    told = failure(program.ask(m.Subscribe(display=NAME, rate_hz=50.0, contactor=24)))
+    assert (told.code, told.field) == ("invalid_field", "contactor")
+    assert told.message == "contactor 24 is not below 24"
+    traces(program)
+    program.until(lambda _: program.client.outbox.qsize() > 3)
+    assert traces(program) == []
+    program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
+
+
 def test_what_is_not_known_is_null_and_not_0(
     host: Host, program: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:

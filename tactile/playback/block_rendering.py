@@ -43,6 +43,8 @@ class SamplePlayback:
         the input that it is rendered from [samples].
     first : int
         Position in a block of the first sample in which a new contact can be noticed [samples].
+    trace : (S, N) array of float
+        Commanded shear of the last block [m].
     shear : (N,) array of float
         Last commanded shear [m].
     drive : (N,) array of float
@@ -61,6 +63,7 @@ class SamplePlayback:
         self._display, self._rate = display, sample_rate
         self._renderer = Renderer(display, None, sample_rate=sample_rate, inverse=inverse)
         self.timed = self._renderer.delay
+        self.trace: Floats = np.zeros((0, len(display.contactors)))
         self.shear = self.drive = np.zeros(len(display.contactors))
 
     def play(self, layers: Sequence[tuple[RealizedLayer | SpectrumRenderer, float]]) -> None:
@@ -113,8 +116,8 @@ class SamplePlayback:
         DriveBlock
             Drive of all channels.
         """
-        drive, shear = self._renderer.block(place, force, waveform=waves, shear=True)
-        self.drive, self.shear = drive[-1], shear[-1]
+        drive, self.trace = self._renderer.block(place, force, waveform=waves, shear=True)
+        self.drive, self.shear = drive[-1], self.trace[-1]
         return DriveBlock(position, self._display.to_channels(drive))
 
     def leave_travel(self, watched: NDArray[np.bool_]) -> None:

@@ -242,6 +242,8 @@ class PlaybackLoop(Mixer):
     def _report_block(self, block: BlockInput) -> None:
         """Update the report after a block was played, and write it now and then."""
         report = self.report
+        if isinstance(self.rendering, SamplePlayback):
+            self.memory.write_trace(self.rendering.trace)
         if block.contacts:
             due = self.bus.due(block.position + self.rendering.first)
             latency = due - block.contacts[-1][1].arrival

@@ -2,7 +2,8 @@
 
 Neither side ever waits for the other. Contacts are a ring of entries, each with a number that is
 odd while the entry is written (a sequence lock), so that a reader takes only complete entries and
-knows how many it missed. The report is a single such entry, the latest.
+knows how many it missed. The report is a single such entry, the latest. The trace is a ring of the
+commanded shear of all contactors, of which readers take the newer half only.
 
 On Linux the memory is a memfd that the child inherits, which leaves nothing behind; elsewhere it is
 a file in the folder for temporary files, which the server removes. A kill at any instant leaves at
@@ -24,12 +25,16 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.arrays import Floats
 from tactile.bus.base import BusCounters
 from tactile.playback.followed_finger import FollowedFinger
 from tactile.tracking.finger_sample import FingerSample, rounded
 
 CONTACTS = 256
 """Length of the ring of contacts: a quarter of a second at 1 kHz [entries]."""
+TRACE = 4096
+"""Length of the ring of commanded shear, a multiple of that of a block: half a second at 8 kHz
+[samples]."""
 DETAIL = 240
 """Space for the line of detail of a report [bytes]."""
 
@@ -88,17 +93,19 @@ CONTACT_SPACE = 128
 """Distance between two entries of the ring of contacts [bytes]."""
 REPORT = struct.Struct(f"<Qd5BQ8d{len(COUNTERS)}Q{DETAIL}s")
 """Format of the report."""
-AT_HEAD, AT_REPORTED, AT_BEATS = 0, 8, 16
-"""Offsets of the number of contacts that were written, the number of the report, and the number of
-heartbeats of the server [bytes]."""
+AT_HEAD, AT_REPORTED, AT_BEATS, AT_TRACED = 0, 8, 16, 24
+"""Offsets of the number of contacts that were written, the number of the report, the number of
+heartbeats of the server, and the number of samples that were traced [bytes]."""
 AT_CONTACTS = 64
 """Offset of the ring of contacts [bytes]."""
 AT_REPORT = AT_CONTACTS + CONTACT_SPACE * CONTACTS
 """Offset of the report [bytes]."""
 AT_ARRAYS = AT_REPORT + 1024
-"""Offset of the arrays of shear and drive, and of those of the finger [bytes]."""
+"""Offset of the arrays of shear and drive, of those of the finger, and of the trace [bytes]."""
 FOLLOWED = 5
 """Number of values that are told of each contactor's load, the attributes of `FollowedFinger`."""
+ROWS = 2 + FOLLOWED + TRACE
+"""Number of values of each contactor."""
 State = Literal["disarmed", "armed", "estopped"]
 """State of playback."""
 STATES: tuple[State, ...] = get_args(State)
@@ -254,11 +261,12 @@ class PlaybackMemory(SharedFile):
 
     def __init__(self, handle: str, contactors: int) -> None:
         super().__init__(handle, _size(contactors))
-        rows = np.frombuffer(self._map, np.float32, (2 + FOLLOWED) * contactors, AT_ARRAYS)
+        rows = np.frombuffer(self._map, np.float32, ROWS * contactors, AT_ARRAYS)
         arrays = rows.reshape(-1, contactors)
         self.shear: NDArray[np.float32] = arrays[0]
         self.drive: NDArray[np.float32] = arrays[1]
-        self._finger: NDArray[np.float32] = arrays[2:]
+        self._finger: NDArray[np.float32] = arrays[2:-TRACE]
+        self._trace: NDArray[np.float32] = arrays[-TRACE:]
         self._read = self._written = self._reported = 0
         self.lost_contacts = 0
 
@@ -282,7 +290,7 @@ class PlaybackMemory(SharedFile):
 
     def close(self) -> None:
         """Release the memory, as `SharedFile.close` does."""
-        self.shear = self.drive = self._finger = np.zeros(0, np.float32)
+        self.shear = self.drive = self._finger = self._trace = np.zeros(0, np.float32)
         super().close()
 
     # Signs of life
@@ -344,6 +352,49 @@ class PlaybackMemory(SharedFile):
             else:
                 self.lost_contacts += 1
 
+    # The trace
+
+    def write_trace(self, shear: Floats) -> None:
+        """Add a block to the trace.
+
+        Parameters
+        ----------
+        shear : (S, N) array of float
+            Commanded shear, of a number of samples that divides `TRACE` [m].
+        """
+        begin = self.traced % TRACE
+        self._trace[begin : begin + len(shear)] = shear
+        NUMBER.pack_into(self._map, AT_TRACED, self.traced + len(shear))
+
+    @property
+    def traced(self) -> int:
+        """Number of samples that were added to the trace."""
+        return int(NUMBER.unpack_from(self._map, AT_TRACED)[0])
+
+    def trace(self, contactor: int, first: int) -> tuple[int, NDArray[np.float32]]:
+        """Return the commanded shear of a contactor since a sample.
+
+        Only the newer half of the ring is returned: the rest may be overwritten meanwhile.
+
+        Parameters
+        ----------
+        contactor : int
+            Index of the contactor.
+        first : int
+            Number of the first sample.
+
+        Returns
+        -------
+        first : int
+            Number of the first sample that is returned, later if there are too many, and earlier if
+            the trace began anew.
+        shear : (S,) array of float32
+            Commanded shear [m].
+        """
+        traced = self.traced
+        first = max(min(first, traced), traced - TRACE // 2)
+        return first, self._trace[np.arange(first, traced) % TRACE, contactor]
+
     # The report
 
     def write_report(self, r: PlaybackReport) -> None:
@@ -396,7 +447,7 @@ class PlaybackMemory(SharedFile):
 
 def _size(contactors: int) -> int:
     """Return the size of the memory of a display [bytes]."""
-    return AT_ARRAYS + 4 * (2 + FOLLOWED) * contactors
+    return AT_ARRAYS + 4 * ROWS * contactors
 
 
 def _followed(rows: NDArray[np.float32]) -> FollowedFinger:

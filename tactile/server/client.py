@@ -401,18 +401,31 @@ class Client:
         return m.Done()
 
     async def _subscribe(self, playing: Playing, command: m.Subscribe) -> Answer:
-        name = command.display
+        name, contactors = command.display, len(playing.display.contactors)
+        if command.contactor is not None and command.contactor >= contactors:
+            text = f"contactor {command.contactor} is not below {contactors}"
+            return failed("invalid_field", text, field="contactor")
         before = self._telemetry.pop(name, None)
         if before is not None:
             before.cancel()
         if command.rate_hz > 0:
-            sending = self._send_telemetry(name, 1 / command.rate_hz)
+            sending = self._send_telemetry(name, 1 / command.rate_hz, command.contactor)
             self._telemetry[name] = start_task(sending)
         return m.Done()
 
-    async def _send_telemetry(self, name: str, interval: float) -> None:
+    async def _send_telemetry(self, name: str, interval: float, contactor: int | None) -> None:
+        first = None  # sample to go on with
         while (playing := self._host.playing.get(name)) is not None:
-            self.post(snapshot(playing))
+            trace = None
+            if contactor is not None and not playing.how.carriers:
+                memory = playing.memory
+                begin, shear = memory.trace(contactor, memory.traced if first is None else first)
+                first = begin + len(shear)
+                trace = m.TelemetryTrace(
+                    contactor=contactor, sample_rate_hz=playing.how.sample_rate, first=begin,
+                    shear_um=(shear * 1e6).astype("<f4").tobytes(),
+                )  # fmt: skip
+            self.post(snapshot(playing, trace))
             await asyncio.sleep(interval)
 
     async def _stats(self, playing: Playing, command: m.GetStats) -> Answer:
@@ -459,13 +472,15 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def snapshot(playing: Playing) -> TelemetryMessage:
+def snapshot(playing: Playing, trace: m.TelemetryTrace | None = None) -> TelemetryMessage:
     """Return the present state of a display.
 
     Parameters
     ----------
     playing : Playing
         The display.
+    trace : TelemetryTrace, optional
+        Shear of one contactor to send along.
 
     Returns
     -------
@@ -485,6 +500,7 @@ def snapshot(playing: Playing) -> TelemetryMessage:
         counters=r.counters,
         put_out_share=_known(r.put_out_share),
         finger=None if r.finger is None else _told(r.finger),
+        trace=trace,
     )
 
 

@@ -6,6 +6,10 @@ from tactile.display.display import Display
 from tactile.estop.latch import Latch
 from tactile.messages import DisplayDescription
 from tactile.playback.commands import DeviceOpened
+from tactile.texture.perception import CENTERS, detection_threshold
+
+THRESHOLD_UM: list[float] = (detection_threshold(CENTERS) * 1e6).tolist()
+"""Peak of a shear that is just felt at each of `CENTERS` [µm]."""
 
 
 def describe(
@@ -42,4 +46,5 @@ def describe(
         estop=latch.holds,
         latest_estop=latch.number,
         follows=how.follows,
+        threshold_um=tuple(zip(CENTERS.tolist(), THRESHOLD_UM, strict=True)),
     )

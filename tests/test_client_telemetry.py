@@ -1,6 +1,7 @@
 """Tests of telemetry and events in the SDK; a program that does not listen delays no other."""
 
 import asyncio
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -57,6 +58,29 @@ def test_what_the_server_does_not_know_is_none() -> None:
     assert wire.from_message(wire.Telemetry, known).put_out_share is None
     told = wire.from_message(wire.Telemetry, unknown)
     assert (told.shear, told.put_out_share) == (None, 0.75)
+
+
+def test_the_trace_of_a_contactor_is_in_si() -> None:
+    trace = m.TelemetryTrace(
+        contactor=3, sample_rate_hz=8000.0, first=16, shear_um=struct.pack("<3f", 1.0, -2.5, 0.0)
+    )
+    told = wire.from_message(wire.Telemetry, msgspec.structs.replace(telemetry(1), trace=trace))
+    assert told.trace is not None
+    assert (told.trace.contactor, told.trace.sample_rate, told.trace.first) == (3, 8000.0, 16)
+    assert told.trace.shear == pytest.approx((1e-6, -2.5e-6, 0.0))
+    assert wire.from_message(wire.Telemetry, telemetry(1)).trace is None
+
+
+def test_the_contactor_that_was_given_last_is_traced(remote: Any, server: ScriptedServer) -> None:
+    """One subscription serves all streams of a display."""
+    server.script.answers[m.Subscribe] = then_one(server)
+    first, second = remote.telemetry(rate=20, contactor=3), remote.telemetry(rate=10, contactor=5)
+    for stream in (first, second):
+        next(iter(stream))
+    second.close()
+    first.close()
+    asked = until(lambda: len(server.of(m.Subscribe)) >= 4 and server.of(m.Subscribe))
+    assert [said.contactor for said in asked[:4]] == [3, 5, 3, None]
 
 
 def test_telemetry_that_nobody_reads_is_dropped_and_then_ended(

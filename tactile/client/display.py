@@ -506,7 +506,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         return (await self._connection._request(request, messages.Textures, timeout)).textures
 
     def telemetry(
-        self, rate: float = 30.0, *, timeout: float | None = None
+        self, rate: float = 30.0, *, contactor: int | None = None, timeout: float | None = None
     ) -> AsyncTelemetryStream:
         """Return a stream of what the display does, for ``async for``.
 
@@ -514,6 +514,9 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         ----------
         rate : float
             Rate of the telemetry [Hz].
+        contactor : int, optional
+            Contactor whose commanded shear `Telemetry.trace` holds sample by sample. There is one
+            for all streams of a display, the one that was given last.
         timeout : float, optional
             Longest wait for each item, beyond its period [s].
 
@@ -522,7 +525,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         AsyncTelemetryStream
             Stream that ends with the connection.
         """
-        return AsyncTelemetryStream(self, rate, timeout)
+        return AsyncTelemetryStream(self, rate, timeout, contactor)
 
     async def close(self: BaseDisplay) -> None:
         """Stop, and close the connection if `connect` made it for this display."""
@@ -568,13 +571,18 @@ class RemoteDisplay(Closing, BaseDisplay):
     textures = blocking(AsyncDisplay.textures)
     close = blocking(AsyncDisplay.close)
 
-    def telemetry(self, rate: float = 30.0, *, timeout: float | None = None) -> TelemetryStream:
+    def telemetry(
+        self, rate: float = 30.0, *, contactor: int | None = None, timeout: float | None = None
+    ) -> TelemetryStream:
         """Return a stream of what the display does: an iterator without end.
 
         Parameters
         ----------
         rate : float
             Rate of the telemetry [Hz].
+        contactor : int, optional
+            Contactor whose commanded shear `Telemetry.trace` holds sample by sample. There is one
+            for all streams of a display, the one that was given last.
         timeout : float, optional
             Longest wait for each item, beyond its period [s].
 
@@ -583,4 +591,4 @@ class RemoteDisplay(Closing, BaseDisplay):
         TelemetryStream
             Stream that ends with the connection.
         """
-        return TelemetryStream(self, rate, timeout)
+        return TelemetryStream(self, rate, timeout, contactor)

@@ -174,7 +174,8 @@ class ClientSession:
         self._last_id = 0
         self._waiting: dict[int, tuple[Request, Future[Any], float]] = {}
         self._desired: dict[str, DesiredState] = {}
-        self._queues: dict[str, weakref.WeakSet[TelemetryQueue]] = {}
+        # queues by display, in the order in which they subscribed
+        self._queues: dict[str, weakref.WeakKeyDictionary[TelemetryQueue, None]] = {}
         self._last_refusal = ("", 0.0)
         self.estops = EStops()
         self.notify: Callable[[wire.Event], None] = lambda event: None
@@ -312,9 +313,11 @@ class ClientSession:
         DisconnectedError
             If there is no connection.
         """
-        wire.checked(Subscribe(display=queue.display, rate_hz=queue.rate))
+        wire.checked(
+            Subscribe(display=queue.display, rate_hz=queue.rate, contactor=queue.contactor)
+        )
         with self._lock:
-            self._queues.setdefault(queue.display, weakref.WeakSet()).add(queue)
+            self._queues.setdefault(queue.display, weakref.WeakKeyDictionary())[queue] = None
         return self.request(self._subscription(queue.display))
 
     def unsubscribe(self, queue: TelemetryQueue) -> None:
@@ -326,15 +329,18 @@ class ClientSession:
             Queue as given to `subscribe`.
         """
         with self._lock:
-            self._queues.get(queue.display, weakref.WeakSet()).discard(queue)
+            self._queues.get(queue.display, weakref.WeakKeyDictionary()).pop(queue, None)
         queue.close()
         if self.connected:
             self._transport.send(self._subscription(queue.display))
 
     def _subscription(self, display: str) -> Subscribe:
         with self._lock:
-            rates = [queue.rate for queue in self._queues.get(display, ())]
-        return Subscribe(display=display, rate_hz=max(rates, default=0.0))
+            queues = list(self._queues.get(display, ()))
+        rate = max((queue.rate for queue in queues), default=0.0)
+        contactors = [queue.contactor for queue in queues if queue.contactor is not None]
+        last = contactors[-1] if contactors else None
+        return Subscribe(display=display, rate_hz=rate, contactor=last)
 
     def close(self) -> None:
         """End the session: no request is answered any more."""

@@ -25,11 +25,19 @@ class BaseTelemetryStream:
         Rate of the telemetry [Hz].
     timeout : float, optional
         Longest wait for each item, beyond its period [s]; by default that of the connection.
+    contactor : int, optional
+        Contactor whose shear is wanted sample by sample.
     """
 
-    def __init__(self, display: "BaseDisplay", rate: float, timeout: float | None) -> None:
+    def __init__(
+        self,
+        display: "BaseDisplay",
+        rate: float,
+        timeout: float | None,
+        contactor: int | None = None,
+    ) -> None:
         self._connection = display._connection
-        self._queue = TelemetryQueue(display.name, rate)
+        self._queue = TelemetryQueue(display.name, rate, contactor)
         self._timeout, self._subscribed = self._connection._patience(timeout), False
 
 

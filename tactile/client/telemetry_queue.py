@@ -20,6 +20,8 @@ class TelemetryQueue:
         Name of the display.
     rate : float
         Rate of the telemetry [Hz].
+    contactor : int, optional
+        Contactor whose shear is wanted sample by sample.
 
     Raises
     ------
@@ -27,11 +29,11 @@ class TelemetryQueue:
         If the rate is not above 0.
     """
 
-    def __init__(self, display: str, rate: float) -> None:
+    def __init__(self, display: str, rate: float, contactor: int | None = None) -> None:
         rate = to_number(rate, "rate [Hz]")
         if not rate > 0:
             raise InputError(f"rate: {rate:g} Hz is not above 0")
-        self.display, self.rate = display, rate
+        self.display, self.rate, self.contactor = display, rate, contactor
         self._lock = threading.Lock()
         self._items: deque[Telemetry] = deque(maxlen=LONGEST)
         self._reader: Future[Telemetry | None] | None = None

@@ -8,6 +8,7 @@ import functools
 import math
 import operator
 import reprlib
+import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -31,7 +32,7 @@ from tactile.messages import (
 )
 
 M = TypeVar("M", bound=ApiMessage)
-S = TypeVar("S", bound="DisplayInfo | Appended | Stats | Telemetry | FingerState")
+S = TypeVar("S", bound="DisplayInfo | Appended | Stats | Telemetry | FingerState | ShearTrace")
 
 Layers = str | Layer | tuple[str, float] | Sequence[str | Layer | tuple[str, float]]
 """One texture or several, each with its gain if it is a pair; ``()`` for none."""
@@ -163,6 +164,29 @@ class FingerState:
 
 
 @dataclass(frozen=True, slots=True)
+class ShearTrace:
+    """Commanded shear of one contactor, sample by sample.
+
+    Attributes
+    ----------
+    contactor : int
+        Index of the contactor.
+    sample_rate : float
+        Rate of the samples [Hz].
+    first : int
+        Number of the first sample. It continues the telemetry before unless samples are missing,
+        and begins anew when playback is started again.
+    shear : (S,) tuple of float
+        Samples since the telemetry before, none while nothing plays [m].
+    """
+
+    contactor: int
+    sample_rate: float
+    first: int
+    shear: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Telemetry:
     """State of a display and its finger at a time.
 
@@ -191,6 +215,9 @@ class Telemetry:
         Share that was put out, as in `Stats`.
     finger : FingerState or None
         Loads of the finger on a display that follows it; None where they are not known.
+    trace : ShearTrace or None
+        Shear of the contactor that `telemetry` was called with; None without one, and on a link
+        that takes spectrum frames.
     """
 
     display: str
@@ -204,6 +231,7 @@ class Telemetry:
     counters: dict[str, int]
     put_out_share: float | None = None
     finger: FingerState | None = None
+    trace: ShearTrace | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -606,5 +634,9 @@ def from_message(kind: type[S], message: msgspec.Struct) -> S:
         value = getattr(message, field)
         if isinstance(value, messages.TelemetryFinger):
             value = from_message(FingerState, value)
+        elif isinstance(value, messages.TelemetryTrace):
+            value = from_message(ShearTrace, value)
+        elif isinstance(value, bytes):
+            value = struct.unpack(f"<{len(value) // 4}f", value)
         values[name] = value if unit is None or value is None else _scaled(value, unit)
     return kind(**values)

@@ -62,8 +62,10 @@ from msgspec import Meta, Struct
 
 API_VERSION = 1
 """Version of the API that `ClientHello` and `Welcome` carry."""
-JSON_PROTOCOL, MSGPACK_PROTOCOL = "tactile.v1.json", "tactile.v1.msgpack"
-"""WebSocket subprotocols of the two encodings."""
+JSON_PROTOCOL = "tactile.v1.json"
+"""WebSocket subprotocol of messages in JSON."""
+MSGPACK_PROTOCOL = "tactile.v1.msgpack"
+"""WebSocket subprotocol of messages in MessagePack."""
 PATH = "/v1"
 """Path of the WebSocket in the server's URL."""
 LARGEST_MESSAGE = 64 * 1024

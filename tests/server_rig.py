@@ -265,10 +265,13 @@ async def talking(
 
 @asynccontextmanager
 async def serving(
-    osc: int = 0, token: tuple[TokenConfig, ...] = (), **options: Any
+    osc: int = 0,
+    token: tuple[TokenConfig, ...] = (),
+    hands: Hands | None = None,
+    **options: Any,
 ) -> AsyncIterator[tuple[Server, Hands]]:
     """Run a server on a port of its own, its host in memory."""
-    hands = Hands()
+    hands = Hands() if hands is None else hands
     options = {"port": 0, "socket": "", **options}
     config = Configuration(server=ServerConfig(**options), token=token, osc=OscConfig(port=osc))
     async with running(config, host=hands) as server:

@@ -332,7 +332,7 @@ def test_the_front_door_imports_only_for_type_checkers() -> None:
 def test_each_public_class_has_a_name_of_its_own() -> None:
     """One name, one concept, also in benchmarks, examples and the programs of the pages."""
     homes = defaultdict(list)
-    for folder in ("tactile", "firmware_protocol", "benchmarks", "examples", "docs"):
+    for folder in ("tactile", "firmware_protocol", "clients", "benchmarks", "examples", "docs"):
         for path in sorted((PROJECT / folder).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):
                 if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):

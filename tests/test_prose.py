@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 PROJECT = Path(__file__).parents[1]
-ROOTS = ("tactile", "firmware_protocol", "benchmarks")
+ROOTS = ("tactile", "firmware_protocol", "clients", "benchmarks")
 AROUND = ("tests", ".ci", "docs", "examples")
 """Folders beside the product whose docstrings are to begin like those of the product."""
 DANGLING = {

@@ -1,0 +1,215 @@
+/** One display of a server, with one finger on it. */
+
+import { now_us } from "./clock.js";
+import type { Connection } from "./connection.js";
+import { ClientError } from "./errors.js";
+import type {
+  Append,
+  AppendedReply,
+  DisplayDescription,
+  Done,
+  Layer,
+  PlayEffect,
+  StatsReply,
+  TelemetryMessage,
+  TelemetryTrace,
+} from "./messages.js";
+
+/** Normal force where a program knows only that there is contact [N]. Assumed: light exploration. */
+export const NORMAL_FORCE_N = 0.5;
+
+/** What a program may say of a contact besides its position. */
+export interface TouchOptions {
+  /** Normal force [N]; 0 lifts the finger. */
+  normal_force_n?: number;
+  /** Velocity of the finger [mm/s]; by default the server derives it from the positions. */
+  velocity_mm_s?: [number, number];
+  /** Time at which the finger was there, on the clock of `performance.now()` [µs]; by default now. */
+  time_us?: number;
+}
+
+/** Receives each telemetry message of a display. */
+export type TelemetryListener = (telemetry: TelemetryMessage) => void;
+
+/** Everything about a waveform but its samples and its display. */
+export type Waveform = Omit<Append, "type" | "id" | "display" | "samples">;
+
+/** Everything about an effect but its display. */
+export type Effect = Omit<PlayEffect, "type" | "id" | "display">;
+
+/** One display; get it from `Connection.display`. It stays the same over reconnections. */
+export class Display {
+  private position_mm: [number, number] = [0, 0];
+
+  constructor(private readonly connection: Connection, readonly name: string) {}
+
+  /** Contactors and limits of the display. Throws if the server has no such display any more. */
+  get info(): DisplayDescription {
+    const info = this.connection.welcome?.displays.find(({ name }) => name === this.name);
+    if (info === undefined) throw new ClientError(`no display ${JSON.stringify(this.name)}`);
+    return info;
+  }
+
+  /** Number of the e-stop that holds as far as the server last reported, 0 for none. */
+  get estopped(): number {
+    return this.connection.memory(this.name).estop;
+  }
+
+  /** Number of contacts that were not sent: too many, or the server was not there. */
+  get droppedContacts(): number {
+    return this.connection.memory(this.name).droppedContacts;
+  }
+
+  /**
+   * Say where the finger is. This never waits, and never throws because of the network: a contact
+   * that cannot be sent now is counted.
+   *
+   * @param position_mm Position x, y on the surface [mm].
+   */
+  touch(position_mm: [number, number], options: TouchOptions = {}): void {
+    this.position_mm = position_mm;
+    this.connection.sendContact({
+      type: "contact",
+      display: this.name,
+      position_mm,
+      normal_force_n: options.normal_force_n ?? NORMAL_FORCE_N,
+      time_us: options.time_us ?? now_us(),
+      ...(options.velocity_mm_s && { velocity_mm_s: options.velocity_mm_s }),
+    });
+  }
+
+  /**
+   * Say that the finger has left the surface.
+   *
+   * @param time_us Time of that on the clock of `performance.now()` [µs]; by default now.
+   */
+  lift(time_us: number = now_us()): void {
+    this.touch(this.position_mm, { normal_force_n: 0, time_us });
+  }
+
+  /**
+   * Choose what the finger feels; the old and the new texture cross-fade.
+   *
+   * @param layers Name of a texture, a layer with its gain, or several of these, which are added
+   *   up; `[]` for nothing.
+   */
+  async select(layers: string | Layer | (string | Layer)[]): Promise<void> {
+    const list = Array.isArray(layers) ? layers : [layers];
+    const named = list.map((layer) => (typeof layer === "string" ? { texture: layer } : layer));
+    await this.connection.request({ type: "select", display: this.name, layers: named });
+  }
+
+  /**
+   * Scale everything that this program plays.
+   *
+   * @param gain Factor, 0 to 1.
+   */
+  async gain(gain: number): Promise<void> {
+    await this.connection.request({ type: "gain", display: this.name, gain });
+  }
+
+  /** Fade out: textures until `resume`, waveforms for good. */
+  async stop(): Promise<void> {
+    await this.connection.request({ type: "stop", display: this.name });
+  }
+
+  /** Let the textures play again after `stop`. */
+  async resume(): Promise<void> {
+    await this.connection.request({ type: "play", display: this.name });
+  }
+
+  /** Switch high voltage on. A person should know of it. It is never repeated by this client. */
+  async arm(): Promise<void> {
+    await this.connection.request({ type: "arm", display: this.name });
+  }
+
+  /** Fade out and switch high voltage off. */
+  async disarm(): Promise<void> {
+    await this.connection.request({ type: "disarm", display: this.name });
+  }
+
+  /**
+   * Set this display to 0 V at once, until `clear`. If the server is not there, or does not
+   * confirm, the promise is rejected, and the e-stop is sent first over the next connection.
+   *
+   * @returns Number of the e-stop, which `clear` takes.
+   */
+  async estop(): Promise<number> {
+    const done: Done = await this.connection.request({ type: "estop", display: this.name });
+    return done.estops?.[this.name] ?? 0;
+  }
+
+  /**
+   * End an e-stop, after a person has decided so; the display is disarmed then.
+   *
+   * @param estop Number of the e-stop, by default the one that holds; a newer one still holds.
+   */
+  async clear(estop: number = this.estopped): Promise<void> {
+    const number = estop || (await this.stats()).estop;
+    if (!number) return;
+    await this.connection.request({ type: "clear", display: this.name, estop: number });
+  }
+
+  /**
+   * Queue a waveform of tangential shear, as XR_FB_haptic_pcm does.
+   *
+   * @param samples Samples −1 to 1, at most `MOST_SAMPLES`.
+   * @returns How many of the samples were taken; send the rest again.
+   */
+  append(samples: Float32Array | number[], waveform: Waveform): Promise<AppendedReply> {
+    return this.connection.request({
+      type: "append",
+      display: this.name,
+      samples: Array.isArray(samples) ? samples : littleEndian(samples),
+      ...waveform,
+    });
+  }
+
+  /** Play an effect given by curves of amplitude and frequency, as XR_EXT_haptic_parametric does. */
+  async effect(effect: Effect): Promise<void> {
+    await this.connection.request({ type: "effect", display: this.name, ...effect });
+  }
+
+  /**
+   * Play an effect of the server.
+   *
+   * @param effect Name of the effect.
+   * @param gain Factor of its amplitude, 0 to 1.
+   */
+  async playEffect(effect: string, gain = 1): Promise<void> {
+    await this.connection.request({ type: "play_effect", display: this.name, effect, gain });
+  }
+
+  /** Ask for the state of the display. */
+  stats(): Promise<StatsReply> {
+    return this.connection.request({ type: "get_stats", display: this.name });
+  }
+
+  /**
+   * Call a function with the state of the display at a regular rate, also after a reconnection.
+   *
+   * @param rate_hz Messages per second [Hz], at most 100. All listeners of a display get the
+   *   largest rate that one of them wants.
+   * @param contactor Contactor whose commanded shear `trace` holds, see `traceSamples`; there is one
+   *   for all listeners of a display, the one that was given last.
+   * @returns Function that ends it.
+   */
+  telemetry(rate_hz: number, listener: TelemetryListener, contactor?: number): () => void {
+    return this.connection.subscribe(this.name, { rate_hz, contactor }, listener);
+  }
+}
+
+/** Return the samples of a trace [µm]. */
+export function traceSamples(trace: TelemetryTrace): Float32Array {
+  const { buffer, byteOffset, byteLength } = trace.shear_um;
+  const view = new DataView(buffer, byteOffset, byteLength);
+  return Float32Array.from({ length: byteLength / 4 }, (_, k) => view.getFloat32(4 * k, true));
+}
+
+/** Return samples as the bytes that the server takes. */
+function littleEndian(samples: Float32Array): Uint8Array {
+  const bytes = new Uint8Array(4 * samples.length);
+  const view = new DataView(bytes.buffer);
+  samples.forEach((sample, k) => view.setFloat32(4 * k, sample, true));
+  return bytes;
+}

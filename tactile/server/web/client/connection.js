@@ -1,0 +1,395 @@
+/** The connection to a server: requests and their answers, events, and what comes after a loss. */
+import { ClockOffset, now_us } from "./clock.js";
+import { Display } from "./display.js";
+import { ClientError, DisconnectedError, RequestError } from "./errors.js";
+import { DisplayMemory, PendingEstops } from "./memory.js";
+import { API_VERSION, MSGPACK_PROTOCOL, PATH } from "./messages.js";
+import { DecodeError, decode, encode } from "./msgpack.js";
+import { ContactPacing } from "./pacing.js";
+/** Interval between pings, each of which also measures the clocks [ms]. */
+const PING_INTERVAL_MS = 1000;
+/** Time without an answer to a ping after which a connection is given up [µs]. */
+const SILENCE_US = 3e6;
+/** Limits of the pause before a reconnection [ms]; it doubles each time, less a random half. */
+const FIRST_PAUSE_MS = 100;
+const LONGEST_PAUSE_MS = 5000;
+/** Maximum number of requests that wait for an answer, without those that make a display quieter. */
+const MOST_WAITING = 256;
+/** Amount of unsent data above which contacts are left out, as they would be old [bytes]. */
+const MOST_UNSENT = 16 * 1024;
+/** Close codes after which the same hello would be refused again. */
+const FINAL_CODES = new Set([1002, 4400, 4401, 4406]);
+/**
+ * Connect to a server, and again whenever the connection is lost, until `close` is called.
+ *
+ * @returns The connection at once; `ready()` waits for the server.
+ */
+export function connect(options = {}) {
+    return new Connection(options);
+}
+/** Connection to a server over any number of WebSockets. */
+export class Connection {
+    constructor(options = {}) {
+        this.options = options;
+        /** State of the connection. */
+        this.state = "connecting";
+        /** Why there is no connection, in a sentence; empty while there is one. */
+        this.reason = "not connected yet";
+        /** Number of messages of the server that could not be read. */
+        this.ignoredMessages = 0;
+        this.refusal = "";
+        this.waiting = new Map();
+        this.lastId = 0;
+        this.pause_ms = FIRST_PAUSE_MS;
+        this.clock = new ClockOffset();
+        this.pacing = new ContactPacing(0);
+        this.estops = new PendingEstops();
+        this.memories = new Map();
+        this.known = new Map();
+        this.listeners = {
+            state: new Set(),
+            event: new Set(),
+            failure: new Set(),
+        };
+        this.url = options.url ?? ownServer();
+        this.pinging = setInterval(() => this.checkAlive(), PING_INTERVAL_MS);
+        this.open();
+    }
+    /** Duration of the quickest of the last exchanges with the server [ms], if there was one. */
+    get roundTrip_ms() {
+        const roundTrip_us = this.clock.roundTrip_us;
+        return roundTrip_us === undefined ? undefined : roundTrip_us / 1000;
+    }
+    /** Return the present time of the server's monotonic clock [µs], if it is known. */
+    serverTime_us() {
+        const offset_us = this.clock.offset_us;
+        return offset_us === undefined ? undefined : now_us() + offset_us;
+    }
+    /** Displays of the server. */
+    get displays() {
+        return (this.welcome?.displays ?? []).map(({ name }) => this.displayNamed(name));
+    }
+    /**
+     * Return a display of the server.
+     *
+     * @param name Name of the display, by default that of the first one. Throws if there is none.
+     */
+    display(name) {
+        const displays = this.displays;
+        const chosen = displays.find((display) => name === undefined || display.name === name);
+        if (chosen !== undefined)
+            return chosen;
+        const names = displays.map((display) => display.name).join(", ") || "none yet";
+        throw new ClientError(`no display ${JSON.stringify(name ?? "")}; there are: ${names}`);
+    }
+    /** Wait until the server has admitted this client; rejected if it refuses it. */
+    ready() {
+        return new Promise((resolve, reject) => {
+            const settle = () => {
+                if (this.state === "connected" && this.welcome)
+                    resolve(this.welcome);
+                else if (this.state !== "connecting")
+                    reject(new DisconnectedError(this.reason));
+                return this.state !== "connecting";
+            };
+            if (settle())
+                return;
+            const remove = this.on("state", () => {
+                if (settle())
+                    remove();
+            });
+        });
+    }
+    /** Return all textures of the server. */
+    async textures() {
+        return (await this.request({ type: "list_textures" })).textures;
+    }
+    /** Return all effects of the server. */
+    async effects() {
+        return (await this.request({ type: "list_effects" })).effects;
+    }
+    /**
+     * Set all displays to 0 V at once, until each is cleared; see `Display.estop`.
+     *
+     * @returns Number of the e-stop by name of the display.
+     */
+    async estop() {
+        return (await this.request({ type: "estop" })).estops ?? {};
+    }
+    /**
+     * Call a function with each change of the state, each event, or each failure that answers no
+     * request, such as that of a contact that cannot be used.
+     *
+     * @returns Function that ends it.
+     */
+    on(kind, listener) {
+        this.listeners[kind].add(listener);
+        return () => this.listeners[kind].delete(listener);
+    }
+    /** End the connection; nothing is answered any more. */
+    close() {
+        clearInterval(this.pinging);
+        clearTimeout(this.retry);
+        this.lost("closed by this program", "closed");
+    }
+    /** Send a request and wait for its answer; `Display` has a method for each. */
+    request(command) {
+        const quieter = ["estop", "disarm", "stop"].includes(command.type);
+        if (this.state !== "connected") {
+            if (command.type === "estop")
+                this.estops.add(command, 0);
+            return Promise.reject(this.disconnected(command));
+        }
+        if (this.waiting.size >= MOST_WAITING && !quieter) {
+            const text = `${MOST_WAITING} requests are already waiting for an answer`;
+            return Promise.reject(new ClientError(text));
+        }
+        return this.send(command);
+    }
+    /** Send a contact, or count it if that is not possible now. */
+    sendContact(contact) {
+        const lifts = contact.normal_force_n === 0;
+        const late = (this.socket?.bufferedAmount ?? 0) > MOST_UNSENT;
+        const possible = this.state === "connected" && this.socket !== undefined;
+        if (possible && (lifts || (!late && this.pacing.take(now_us())))) {
+            this.socket?.send(encode(contact));
+        }
+        else {
+            this.memory(contact.display).droppedContacts += 1;
+        }
+    }
+    /** Return what outlasts a connection of one display. */
+    memory(display) {
+        let memory = this.memories.get(display);
+        if (memory === undefined) {
+            memory = new DisplayMemory();
+            this.memories.set(display, memory);
+        }
+        return memory;
+    }
+    /** Call a function with telemetry of a display; return the function that ends it. */
+    subscribe(display, wanted, listener) {
+        const memory = this.memory(display);
+        const update = () => {
+            if (this.state === "connected")
+                this.sendUnasked(memory.subscription(display));
+        };
+        memory.listeners.delete(listener); // what is wanted last comes last
+        memory.listeners.set(listener, wanted);
+        update();
+        return () => {
+            memory.listeners.delete(listener);
+            update();
+        };
+    }
+    displayNamed(name) {
+        let display = this.known.get(name);
+        if (display === undefined) {
+            display = new Display(this, name);
+            this.known.set(name, display);
+        }
+        return display;
+    }
+    // Opening and losing a WebSocket
+    open() {
+        const Socket = this.options.webSocket ?? globalThis.WebSocket;
+        if (Socket === undefined) {
+            this.lost("there is no WebSocket here: pass `webSocket`, such as that of `ws`", "refused");
+            return;
+        }
+        this.refusal = "";
+        let socket;
+        try {
+            socket = new Socket(this.url, MSGPACK_PROTOCOL);
+        }
+        catch (error) {
+            this.lost(`cannot connect to ${this.url}: ${error.message}`, "refused");
+            return;
+        }
+        socket.binaryType = "arraybuffer";
+        this.socket = socket;
+        const current = () => this.socket === socket;
+        socket.onopen = () => current() && this.sayHello();
+        socket.onmessage = ({ data }) => current() && this.receive(data);
+        socket.onclose = ({ code, reason }) => current() && this.closed(code, String(reason));
+        socket.onerror = () => undefined; // `onclose` follows
+    }
+    sayHello() {
+        this.waiting.clear();
+        const { client = "tactile-client", token = "" } = this.options;
+        this.send({ type: "hello", client, version: API_VERSION, token }).catch((error) => {
+            if (error instanceof RequestError)
+                this.refusal = error.message; // it is closed next
+        });
+    }
+    closed(code, reason) {
+        const text = this.refusal || reason || `the server at ${this.url} does not answer`;
+        this.lost(text, FINAL_CODES.has(code) ? "refused" : "connecting");
+    }
+    lost(reason, state) {
+        if (this.state === "closed" || this.state === "refused")
+            return;
+        const socket = this.socket;
+        this.socket = undefined;
+        this.state = state;
+        this.reason = reason;
+        this.estops.disconnect();
+        const waiting = [...this.waiting.values()];
+        this.waiting.clear();
+        for (const { command, reject } of waiting)
+            reject(this.disconnected(command));
+        socket?.close();
+        if (state === "connecting")
+            this.openLater();
+        else
+            clearInterval(this.pinging);
+        this.notify("state", this);
+    }
+    openLater() {
+        const pause_ms = this.pause_ms * (1 - Math.random() / 2);
+        this.pause_ms = Math.min(2 * this.pause_ms, LONGEST_PAUSE_MS);
+        this.retry = setTimeout(() => this.open(), pause_ms);
+    }
+    disconnected(command) {
+        const kept = command.type === "estop" && this.state === "connecting";
+        const text = kept ? "; the e-stop is kept and will be sent first when the server is back" : "";
+        return new DisconnectedError(`not connected: ${this.reason}${text}`);
+    }
+    checkAlive() {
+        if (this.state !== "connected")
+            return;
+        const pings = [...this.waiting.values()].filter(({ command }) => command.type === "ping");
+        if (pings.some(({ sent_us }) => now_us() - sent_us > SILENCE_US)) {
+            this.lost("the server does not answer", "connecting");
+        }
+        else {
+            this.sendUnasked({ type: "ping", time_us: now_us() });
+        }
+    }
+    // Messages
+    send(command) {
+        const id = (this.lastId += 1);
+        return new Promise((resolve, reject) => {
+            this.waiting.set(id, { command, sent_us: now_us(), resolve, reject });
+            if (command.type === "estop")
+                this.estops.add(command, id);
+            this.socket?.send(encode({ ...command, id }));
+        });
+    }
+    /** Send a request of the client's own; what is wrong with it is a failure without a request. */
+    sendUnasked(command) {
+        this.send(command).catch((error) => {
+            if (error instanceof RequestError)
+                this.notify("failure", error.failure);
+        });
+    }
+    receive(data) {
+        const answer = this.decoded(data);
+        if (answer === undefined)
+            return;
+        if (answer.type === "telemetry") {
+            for (const listener of [...this.memory(answer.display).listeners.keys()]) {
+                call(listener, answer);
+            }
+        }
+        else if (answer.type === "event") {
+            if (answer.kind === "estopped")
+                this.memory(answer.display).estop = answer.estop ?? 0;
+            if (answer.kind === "cleared")
+                this.memory(answer.display).estop = 0;
+            this.notify("event", answer);
+        }
+        else if (answer.id === undefined || answer.id === null) {
+            if (answer.type === "failure")
+                this.notify("failure", answer);
+        }
+        else {
+            this.answered({ ...answer, id: answer.id });
+        }
+    }
+    decoded(data) {
+        try {
+            const value = decode(new Uint8Array(data));
+            if (typeof value === "object" && value !== null && "type" in value)
+                return value;
+        }
+        catch (error) {
+            if (!(error instanceof DecodeError))
+                throw error;
+        }
+        this.ignoredMessages += 1;
+        return undefined;
+    }
+    answered(answer) {
+        const waiting = this.waiting.get(answer.id);
+        if (waiting === undefined)
+            return;
+        this.waiting.delete(answer.id);
+        this.estops.resolve(answer);
+        if (answer.type === "failure") {
+            waiting.reject(new RequestError(answer));
+            return;
+        }
+        this.learn(answer, waiting);
+        waiting.resolve(answer);
+    }
+    /** Take from an answer what the client itself needs. */
+    learn(answer, { command, sent_us }) {
+        if (answer.type === "welcome") {
+            this.welcomedBy(answer, sent_us);
+        }
+        else if (answer.type === "pong") {
+            this.clock.add(sent_us, answer.server_time_us, now_us());
+        }
+        else if (answer.type === "stats") {
+            this.memory(answer.display).estop = answer.estop ?? 0;
+        }
+        else if (answer.type === "done") {
+            for (const [display, estop] of Object.entries(answer.estops ?? {})) {
+                this.memory(display).estop = estop;
+            }
+            if ("display" in command && command.display)
+                this.memory(command.display).confirm(command);
+        }
+    }
+    /** Send unconfirmed e-stops first, then what restores the state; nothing arms. */
+    welcomedBy(welcome, sent_us) {
+        this.welcome = welcome;
+        this.clock = new ClockOffset();
+        this.clock.add(sent_us, welcome.time_us, now_us());
+        this.pacing = new ContactPacing(welcome.messages_per_second ?? 0);
+        this.pause_ms = FIRST_PAUSE_MS;
+        for (const { name, estop } of welcome.displays)
+            this.memory(name).estop = estop ?? 0;
+        for (const estop of this.estops.unsent())
+            this.sendUnasked(estop);
+        for (const [display, memory] of this.memories) {
+            for (const command of memory.restoring(display))
+                this.sendUnasked(command);
+        }
+        this.state = "connected";
+        this.reason = "";
+        this.notify("state", this);
+    }
+    notify(kind, value) {
+        for (const listener of [...this.listeners[kind]])
+            call(listener, value);
+    }
+}
+/** Call a listener; what it throws is reported, and harms no other one. */
+function call(listener, value) {
+    try {
+        listener(value);
+    }
+    catch (error) {
+        queueMicrotask(() => {
+            throw error;
+        });
+    }
+}
+/** Return the address of the server that this page came from. */
+function ownServer() {
+    if (typeof location === "undefined")
+        throw new ClientError("url: is needed outside of a page");
+    return `${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}${PATH}`;
+}

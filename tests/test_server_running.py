@@ -34,6 +34,7 @@ from tactile.messages import JSON_PROTOCOL
 from tactile.server import listening, sockets
 from tactile.server.config import Configuration, OscConfig, ServerConfig
 from tactile.server.listening import Listener, bound_sockets
+from tactile.server.page import FOLDER, TYPES
 from tactile.server.server import running
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -49,7 +50,6 @@ async def test_health_is_what_the_host_says() -> None:
         hands.alive = False
         bad = await get(there, "/healthz")
         assert (bad.status_code, bad.json()["status"]) == (503, "failing")
-        assert "WebSocket at /v1" in (await get(there, "/")).text
 
 
 async def test_figures_are_read_by_prometheus_and_are_those_of_displays_and_clients() -> None:
@@ -72,7 +72,35 @@ async def test_figures_are_read_by_prometheus_and_are_those_of_displays_and_clie
         assert samples["tactile_healthy",] == 1
 
 
-@pytest.mark.parametrize("path", ["/nope", "/v1/", "/v1/schema/x", "/../../etc/passwd"])
+FILES = sorted(path.relative_to(FOLDER) for path in FOLDER.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("file", FILES, ids=str)
+async def test_the_page_is_served_with_a_policy_that_lets_it_load_nothing_else(file: Path) -> None:
+    async with serving() as (there, _):
+        answer = await get(there, f"/{file}")
+        assert (answer.status_code, answer.content) == (200, (FOLDER / file).read_bytes())
+        assert answer.headers["content-type"] == TYPES[file.suffix]
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'; ")
+        assert "frame-ancestors 'none'" in policy
+        assert not any(word in policy for word in ("unsafe", "http", "*"))
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        again = await get(there, f"/{file}", **{"if-none-match": answer.headers["etag"]})
+        assert (again.status_code, again.content) == (304, b"")
+
+
+async def test_the_page_is_at_the_root() -> None:
+    async with serving() as (there, _):
+        assert there.page == f"http://127.0.0.1:{there.port}/"
+        root = await get(there, "/")
+        assert root.content == (FOLDER / "index.html").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/nope", "/v1/", "/page/../../server.py", "/page/", "/v1/schema/x", "/../../etc/passwd"],
+)
 async def test_what_is_not_there_is_404(path: str) -> None:
     async with serving() as (there, _):
         assert (await get(there, path)).status_code == 404

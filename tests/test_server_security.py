@@ -134,6 +134,29 @@ async def test_a_page_is_refused_unless_it_was_invited_and_a_program_is_not(
         assert len(hands.clients) == int(allowed)
 
 
+OWN = [
+    ("localhost:7411", "http://localhost:7411", True),
+    ("LocalHost:7411", "http://localhost:7411", True),  # a browser writes an origin in lower case
+    ("[::1]:7411", "http://[::1]:7411", True),
+    ("localhost", "http://localhost", True),
+    ("localhost:7411", "http://localhost:8080", False),  # of another program on this machine
+    ("localhost:7411", "http://localhost", False),
+    ("localhost:7411", "https://localhost:7411", False),
+    ("localhost:7411", "http://127.0.0.1:7411", False),
+    ("localhost:7411", "http://evil.example:7411", False),
+    ("localhost:7411", "null", False),
+    ("evil.example:7411", "http://evil.example:7411", False),  # a name that was rebound
+]
+
+
+@pytest.mark.parametrize(("host", "origin", "allowed"), OWN)
+def test_the_servers_own_page_is_admitted_and_no_other(
+    host: str, origin: str, allowed: bool
+) -> None:
+    headers = [(b"host", host.encode()), (b"origin", origin.encode())]
+    assert (refusal(headers, ServerConfig(), "127.0.0.1") == "") is allowed
+
+
 def test_two_origins_are_one_too_many() -> None:
     config = ServerConfig(origins=(APP,))
     host = (b"host", b"localhost")

@@ -23,7 +23,8 @@ def run(
 ) -> None:
     """Serve displays to other programs by WebSocket and OSC.
 
-    The server runs until it is interrupted. The exit code is 1 if a device cannot be opened.
+    A browser shows the displays at the address that is printed. The server runs until it is
+    interrupted. The exit code is 1 if a device cannot be opened.
 
     Example: tactile serve --config tactile.toml
     """
@@ -34,7 +35,7 @@ def run(
     names = ", ".join(f"{one.name} ({one.device})" for one in settings.display)
 
     def announce(server: "Server") -> None:
-        line = f"{server.url} plays {names}; Ctrl-C ends it\n"
+        line = f"{server.url} plays {names}; open {server.page} to see it; Ctrl-C ends it\n"
         print(line, end="", flush=True)  # whole, also into a pipe where a program waits for it
 
     try:

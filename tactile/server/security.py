@@ -2,8 +2,8 @@
 
 A page in a browser can send requests to this machine. It cannot omit `Origin` when it opens a
 WebSocket, nor `Sec-Fetch-Site` in a current browser, and it cannot choose `Host`: a name that was
-rebound to 127.0.0.1 appears there as itself. Programs send no `Origin`; they present a token, if
-there is one.
+rebound to 127.0.0.1 appears there as itself. Only the server's own page is of the origin that
+`Host` names. Programs send no `Origin`; they present a token, if there is one.
 """
 
 import hashlib
@@ -114,7 +114,11 @@ def refusal(headers: Headers, config: ServerConfig, address: str | None) -> str:
     if len(hosts) != 1 or hosts[0] not in own - ANY:
         return "Host is not one of this server"
     origins = values["origin"]
-    if len(origins) > 1 or not set(origins) <= set(config.origins):
+    # the server's own page is at the host and port of this request; its name was checked above
+    if len(origins) > 1 or not set(origins) <= {
+        *config.origins,
+        f"http://{values['host'][0].lower()}",
+    }:
         return UNINVITED
     if not origins and not set(values["sec-fetch-site"]) <= {"none", "same-origin"}:
         return "Sec-Fetch-Site is another site"

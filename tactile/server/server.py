@@ -1,4 +1,4 @@
-"""Server: a WebSocket at ``/v1``; schema, health and metrics over HTTP; OSC besides.
+"""Server: a WebSocket at ``/v1``; page, schema, health and metrics over HTTP; OSC besides.
 
 At the end, nobody is admitted any more and all clients are told, then the displays fade and are
 disarmed, and only then are connections cut. `serve` is the process, `running` the same inside
@@ -17,8 +17,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
@@ -34,6 +34,7 @@ from tactile.server.liveness import watch_clients
 from tactile.server.logs import Logs
 from tactile.server.metrics import Metrics
 from tactile.server.osc import ROOM, OscProtocol
+from tactile.server.page import PageFiles
 from tactile.server.security import Door, Tokens
 from tactile.server.tasks import start_task
 
@@ -51,6 +52,8 @@ class Server:
     ----------
     url : str
         URL for `tactile.connect`.
+    page : str
+        URL of the page for a browser.
     port : int
         TCP port.
     site : Site
@@ -60,6 +63,7 @@ class Server:
     """
 
     url: str
+    page: str
     port: int
     site: Site
     serving: "asyncio.Task[None]"
@@ -88,9 +92,6 @@ def application(site: Site) -> ASGIApp:
     async def connect(socket: WebSocket) -> None:
         await talk(socket, site)
 
-    async def about(request: Request) -> Response:
-        return PlainTextResponse(f"tactile {site.version}: WebSocket at {messages.PATH}\n")
-
     async def health(request: Request) -> Response:
         good = site.host.healthy() and not site.ending
         names = [display.name for display in site.host.displays]
@@ -106,10 +107,10 @@ def application(site: Site) -> ASGIApp:
     app = Starlette(
         routes=[
             WebSocketRoute(messages.PATH, connect),
-            Route("/", about),
             Route("/healthz", health),
             Route("/metrics", figures),
             Route(f"{messages.PATH}/schema", shape),
+            Mount("/", PageFiles()),
         ]
     )
     app.router.redirect_slashes = False
@@ -195,7 +196,9 @@ async def running(
                 try:
                     while not listener.started and not serving.done():
                         await asyncio.sleep(0.002)
-                    yield Server(_url(sockets[0]), sockets[0].getsockname()[1], site, serving)
+                    place, port = _place(sockets[0]), sockets[0].getsockname()[1]
+                    url, page = f"ws://{place}{messages.PATH}", f"http://{place}/"
+                    yield Server(url, page, port, site, serving)
                 finally:
                     site.end()
                     await host.close()
@@ -216,10 +219,11 @@ async def _watching_clients(site: Site) -> AsyncIterator[None]:
         await asyncio.wait({task})
 
 
-def _url(listening: socket.socket) -> str:
+def _place(listening: socket.socket) -> str:
+    """Return host and port of a socket as in a URL."""
     address, port = listening.getsockname()[:2]
     name = {"0.0.0.0": LOOPBACK, "::": "::1"}.get(address, address)
-    return f"ws://{f'[{name}]' if ':' in name else name}:{port}{messages.PATH}"
+    return f"{f'[{name}]' if ':' in name else name}:{port}"
 
 
 def serve(config: Configuration, ready: Callable[[Server], None] | None = None) -> None:

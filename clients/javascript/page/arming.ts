@@ -1,0 +1,58 @@
+import { Question } from "./dialogs.js";
+import { byId, setText } from "./dom.js";
+import type { Notice } from "./notice.js";
+import type { Session } from "./session.js";
+import { texts } from "./texts.js";
+
+/** Buttons that arm, after a question, and disarm at once. */
+export class Arming {
+  private readonly armButton = byId<HTMLButtonElement>("arm");
+  private readonly disarmButton = byId<HTMLButtonElement>("disarm");
+  private readonly question = new Question("arm", () => void this.arm());
+
+  constructor(private readonly session: Session, private readonly notice: Notice) {
+    this.armButton.addEventListener("click", () => this.ask());
+    this.disarmButton.addEventListener("click", () => void this.disarm());
+    session.changed.on(() => this.show());
+    this.show();
+  }
+
+  private ask(): void {
+    const { display } = this.session;
+    if (!display) return;
+    setText(byId("arm-question"), texts.armQuestion(display.name, display.info.voltage_limit_v));
+    this.question.ask();
+  }
+
+  private async arm(): Promise<void> {
+    try {
+      await this.session.display?.arm();
+      this.notice.hide(); // it may say why the display was disarmed
+    } catch (error) {
+      this.notice.show(texts.armFailed((error as Error).message));
+    }
+    void this.session.askStats();
+  }
+
+  private async disarm(): Promise<void> {
+    try {
+      await this.session.display?.disarm();
+    } catch (error) {
+      this.notice.show(texts.disarmFailed((error as Error).message));
+    }
+    void this.session.askStats();
+  }
+
+  private show(): void {
+    const { session } = this;
+    const isArmed = session.state === "armed";
+    const hasFocus = document.activeElement === (isArmed ? this.armButton : this.disarmButton);
+    this.armButton.hidden = isArmed;
+    this.disarmButton.hidden = !isArmed;
+    // The button that had the focus is gone now; its place is taken by the other one.
+    if (hasFocus) (isArmed ? this.disarmButton : this.armButton).focus();
+    this.armButton.disabled = session.state !== "disarmed" || !session.may("arm");
+    this.disarmButton.disabled = !session.may("arm") && !session.may("stop");
+    if (session.state !== "disarmed") this.question.close();
+  }
+}

@@ -1,0 +1,22 @@
+import { byId, setText } from "./dom.js";
+
+/** One sentence about something that did not work, until the user closes it. */
+export class Notice {
+  private readonly box = byId("notice");
+
+  constructor() {
+    byId("notice-close").addEventListener("click", () => this.hide());
+  }
+
+  /** Show a sentence, instead of the one before. */
+  show(text: string, severity: "warning" | "danger" = "warning"): void {
+    this.box.dataset.severity = severity;
+    this.box.hidden = false;
+    setText(byId("notice-text"), text);
+  }
+
+  /** Take the sentence back. */
+  hide(): void {
+    this.box.hidden = true;
+  }
+}

@@ -1,0 +1,24 @@
+import { byId, showText } from "./dom.js";
+import type { Finger } from "./finger.js";
+import type { Session } from "./session.js";
+import { texts } from "./texts.js";
+
+/** Show on the pad what is missing for something to be felt. */
+export function showPadHint(session: Session, finger: Finger, selected: () => string): void {
+  const hint = byId("pad-hint");
+  const show = () => showText(hint, padHint(session, finger, selected()));
+  session.changed.on(show);
+  finger.changed.on(show);
+  show();
+}
+
+function padHint(session: Session, finger: Finger, selected: string): string {
+  const { state, latestStats: stats } = session;
+  if (state === "offline") return texts.padOffline;
+  if (state === "estopped") return texts.padEstopped;
+  if (state === "lost") return texts.padLost;
+  if (!session.may("play")) return texts.padMayNotPlay;
+  if (state === "disarmed") return selected ? texts.padDisarmed : texts.padSelectAndArm;
+  if (finger.touching && stats?.touching && !stats.owner) return texts.fingerOfAnother;
+  return selected ? "" : texts.padSelect;
+}

@@ -1,0 +1,79 @@
+import { ShearScale } from "./shear_scale.js";
+/** Share of the distance to the nearest neighbor that a contactor may be drawn away. */
+export const ROOM = 0.42;
+/** Half of the time over which the extent of the shear is taken [ms]. */
+const HALF_EXTENT_MS = 150;
+/** Smallest and largest value of the last 0.3 s, or half of that just after the halves change. */
+class Extent {
+    constructor() {
+        this.least = 0;
+        this.most = 0;
+        this.earlierLeast = 0;
+        this.earlierMost = 0;
+    }
+    get from() {
+        return Math.min(this.least, this.earlierLeast);
+    }
+    get to() {
+        return Math.max(this.most, this.earlierMost);
+    }
+    add(value) {
+        if (value < this.least)
+            this.least = value;
+        if (value > this.most)
+            this.most = value;
+    }
+    begin(value) {
+        [this.earlierLeast, this.earlierMost] = [this.least, this.most];
+        [this.least, this.most] = [value, value];
+    }
+}
+/** The contactors of one display, with their present shears and drives. */
+export class Contactors {
+    constructor(info) {
+        /** Whether the link reports shears. */
+        this.hasShear = false;
+        this.isArmed = false;
+        this.largestShear_um = 0;
+        this.largestDrive_v = 0;
+        this.halfBegan_ms = 0;
+        this.all = info.contactors_mm.map(([x_mm, y_mm], k) => {
+            const angle = ((info.shear_direction_deg[k] ?? 0) * Math.PI) / 180;
+            const [along, up] = [Math.cos(angle), Math.sin(angle)];
+            return { x_mm, y_mm, along, up, drive_v: 0, shear_um: 0, extent: new Extent() };
+        });
+        this.limit_v = info.voltage_limit_v;
+        this.pitch_mm = smallestDistance(this.all);
+        this.scale = new ShearScale(ROOM * this.pitch_mm);
+    }
+    /** Take the present shears and drives. Those of a display that is not armed are old. */
+    take({ state, drive_v, shear_um }, time_ms) {
+        this.isArmed = state === "armed";
+        const begins = time_ms - this.halfBegan_ms > HALF_EXTENT_MS;
+        if (begins)
+            this.halfBegan_ms = time_ms;
+        this.hasShear = shear_um !== null;
+        this.largestShear_um = this.largestDrive_v = 0;
+        for (const [k, contactor] of this.all.entries()) {
+            contactor.drive_v = (this.isArmed && drive_v[k]) || 0;
+            contactor.shear_um = (this.isArmed && shear_um?.[k]) || 0;
+            if (begins)
+                contactor.extent.begin(contactor.shear_um);
+            else
+                contactor.extent.add(contactor.shear_um);
+            this.largestDrive_v = Math.max(this.largestDrive_v, Math.abs(contactor.drive_v));
+            this.largestShear_um = Math.max(this.largestShear_um, Math.abs(contactor.shear_um));
+        }
+        this.scale.take(this.largestShear_um, time_ms);
+    }
+}
+/** Return the distance of the two nearest contactors; that of a fingertip if there is only one. */
+function smallestDistance(contactors) {
+    let least = Infinity;
+    for (const [k, one] of contactors.entries()) {
+        for (const other of contactors.slice(k + 1)) {
+            least = Math.min(least, Math.hypot(one.x_mm - other.x_mm, one.y_mm - other.y_mm));
+        }
+    }
+    return Number.isFinite(least) && least > 0 ? least : 10;
+}

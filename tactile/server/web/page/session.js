@@ -1,0 +1,134 @@
+import { connect, RequestError } from "../client/index.js";
+import { Signal } from "./signal.js";
+const TELEMETRY_HZ = 60;
+const STATS_EVERY_MS = 1000;
+const STATES = ["disarmed", "armed", "estopped", "lost"];
+/** The connection to the server, the display that is shown, and what is known of it. */
+export class Session {
+    constructor() {
+        /** Emitted when the connection, the display or its state has changed. */
+        this.changed = new Signal();
+        /** Emitted when another display is shown, or a display for the first time. */
+        this.displayChanged = new Signal();
+        /** Emitted when a new connection was begun, with another token. */
+        this.reopened = new Signal();
+        this.telemetry = new Signal();
+        this.stats = new Signal();
+        this.event = new Signal();
+        this.failure = new Signal();
+        /** Whether an attempt to connect has failed, or the connection was lost. */
+        this.hasFailed = false;
+        /** Whether the server does not know the display any more. */
+        this.displayIsGone = false;
+        this.reported = "offline";
+        this.asking = false;
+        this.unsubscribe = () => { };
+        this.open("");
+        setInterval(() => void this.askStats(), STATS_EVERY_MS);
+    }
+    /** Begin a new connection, with a token if there is one. */
+    open(token) {
+        const before = this.connection;
+        const connection = connect({ client: "web page", ...(token && { token }) });
+        this.connection = connection;
+        this.showDisplay(undefined);
+        before?.close();
+        this.hasFailed = false;
+        connection.on("state", () => {
+            if (this.connection !== connection)
+                return; // it was replaced, and is closed
+            this.hasFailed ||= !this.isConnected;
+            this.follow();
+        });
+        connection.on("event", (event) => this.takeEvent(event));
+        connection.on("failure", (failure) => this.failure.emit(failure));
+        this.reopened.emit(this);
+        this.follow();
+    }
+    /** State of the display. */
+    get state() {
+        return this.isConnected && this.display && !this.displayIsGone ? this.reported : "offline";
+    }
+    /** Whether the server has admitted this page. */
+    get isConnected() {
+        return this.connection.state === "connected";
+    }
+    /** Return whether the server lets this page do what a role allows. */
+    may(role) {
+        return this.connection.welcome?.roles?.includes(role) ?? false;
+    }
+    /** Show another display. */
+    show(name) {
+        this.showDisplay(this.connection.display(name));
+        this.changed.emit(this);
+    }
+    /** Ask for the state of the display now, for example after an event. */
+    async askStats() {
+        const { display } = this;
+        if (!this.isConnected || display === undefined || this.asking)
+            return;
+        this.asking = true;
+        try {
+            const stats = await display.stats();
+            if (display === this.display)
+                this.takeStats(stats);
+        }
+        catch (error) {
+            if (display !== this.display)
+                return;
+            this.displayIsGone = error instanceof RequestError && error.code === "unknown_display";
+            this.changed.emit(this);
+        }
+        finally {
+            this.asking = false;
+        }
+    }
+    follow() {
+        if (!this.isConnected) {
+            this.reported = "offline";
+            this.latestStats = undefined;
+        }
+        else {
+            const names = this.connection.displays.map(({ name }) => name);
+            const [first] = names;
+            if (this.display === undefined && first !== undefined)
+                this.show(first);
+            this.displayIsGone = this.display !== undefined && !names.includes(this.display.name);
+            void this.askStats();
+        }
+        this.changed.emit(this);
+    }
+    showDisplay(display) {
+        if (display === this.display && display !== undefined)
+            return;
+        this.unsubscribe();
+        this.display = display;
+        this.latestStats = undefined;
+        this.reported = "offline";
+        this.unsubscribe = display?.telemetry(TELEMETRY_HZ, (t) => this.takeTelemetry(t)) ?? (() => { });
+        this.displayChanged.emit(this);
+        void this.askStats();
+    }
+    takeEvent(event) {
+        this.event.emit(event);
+        void this.askStats();
+    }
+    takeStats(stats) {
+        this.displayIsGone = false;
+        this.latestStats = stats;
+        this.report(stats.state);
+        this.stats.emit(stats);
+        this.changed.emit(this);
+    }
+    takeTelemetry(telemetry) {
+        this.telemetry.emit(telemetry);
+        if (telemetry.state === this.reported)
+            return;
+        this.report(telemetry.state);
+        this.changed.emit(this);
+    }
+    report(state) {
+        // A later server may know other states. Such a display is not taken for harmless.
+        this.reported = STATES.includes(state) ? state : "lost";
+    }
+}

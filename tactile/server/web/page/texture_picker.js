@@ -1,0 +1,174 @@
+import { byId, element, setText, showText } from "./dom.js";
+import { Newest } from "./newest.js";
+import { texts } from "./texts.js";
+/** Search field and list of the textures; a click or Enter selects one. */
+export class TexturePicker {
+    constructor(session) {
+        this.session = session;
+        this.search = byId("search");
+        this.list = byId("textures");
+        this.empty = byId("textures-empty");
+        this.status = byId("selected");
+        this.problem = byId("select-problem");
+        this.selection = new Newest((name) => this.select(name), (name, error) => this.settle(name, error));
+        this.options = [];
+        /** Name of the texture that the display plays, by the name of the display. */
+        this.selected = new Map();
+        this.search.addEventListener("input", () => this.filter());
+        for (const target of [this.search, this.list]) {
+            target.addEventListener("keydown", (event) => this.press(event));
+        }
+        session.displayChanged.on(() => void this.read());
+        session.reopened.on(() => this.selected.clear()); // the server forgot it with the connection
+        session.event.on(({ kind }) => kind === "textures" && void this.read());
+    }
+    /** Name of the selected texture; empty if none is. */
+    get selectedName() {
+        return this.selected.get(this.session.display?.name ?? "") ?? "";
+    }
+    async read() {
+        this.showStatus();
+        if (!this.session.display)
+            return;
+        try {
+            this.fill(await this.session.connection.textures());
+        }
+        catch (error) {
+            showText(this.problem, texts.noTextures(error.message));
+        }
+    }
+    fill(textures) {
+        const sorted = [...textures].sort(byCategoryAndName);
+        this.options = sorted.map((texture, number) => this.createOption(texture, number));
+        const categories = new Map();
+        for (const { texture, item } of this.options) {
+            const { category } = texture;
+            const group = categories.get(category) ?? createGroup(category, categories.size);
+            categories.set(category, group);
+            group.append(item);
+        }
+        this.list.replaceChildren(...categories.values());
+        this.active = this.options.find(({ texture }) => texture.name === this.selectedName);
+        this.filter();
+        this.showStatus();
+    }
+    createOption(texture, number) {
+        const item = element("div", "", "option");
+        item.setAttribute("role", "option");
+        item.id = `texture-${number}`;
+        item.dataset.testid = "texture";
+        item.dataset.name = texture.name;
+        item.append(element("span", texture.name, "name"), element("span", texture.description, "description"), element("span", texts.provenance(texture.provenance), "provenance"));
+        const searched = `${texture.name} ${texture.category} ${texture.description}`.toLowerCase();
+        const option = { texture, item, searched };
+        item.addEventListener("click", () => this.choose(option));
+        return option;
+    }
+    filter() {
+        const words = this.search.value.toLowerCase().split(/\s+/);
+        for (const { item, searched } of this.options) {
+            item.hidden = !words.every((word) => searched.includes(word));
+        }
+        for (const group of this.list.children) {
+            group.hidden = group.querySelector(".option:not([hidden])") === null;
+        }
+        const shown = this.shown();
+        showText(this.empty, shown.length ? "" : texts.noTextureMatches(this.search.value));
+        if (this.active?.item.hidden)
+            this.activate(undefined);
+        else
+            this.scrollToActive();
+    }
+    shown() {
+        return this.options.filter(({ item }) => !item.hidden);
+    }
+    press(event) {
+        const shown = this.shown();
+        const k = this.active ? shown.indexOf(this.active) : -1;
+        const inList = event.currentTarget === this.list;
+        let next;
+        if (event.key === "ArrowDown")
+            next = shown[Math.min(k + 1, shown.length - 1)];
+        else if (event.key === "ArrowUp")
+            next = shown[Math.max(k - 1, 0)];
+        else if (event.key === "Home" && inList)
+            next = shown[0];
+        else if (event.key === "End" && inList)
+            next = shown[shown.length - 1];
+        else if (event.key === "Enter" || (event.key === " " && inList)) {
+            this.choose(this.active ?? shown[0]);
+        }
+        else
+            return;
+        event.preventDefault();
+        if (next)
+            this.activate(next);
+    }
+    activate(option) {
+        this.active?.item.classList.remove("active");
+        this.active = option;
+        for (const target of [this.search, this.list]) {
+            if (option)
+                target.setAttribute("aria-activedescendant", option.item.id);
+            else
+                target.removeAttribute("aria-activedescendant");
+        }
+        option?.item.classList.add("active");
+        this.scrollToActive();
+    }
+    /** Scroll the list, but not the page, until the active option is in sight. */
+    scrollToActive() {
+        const { active, list } = this;
+        if (!active)
+            return;
+        const heading = active.item.parentElement?.firstElementChild?.clientHeight ?? 0;
+        const top = active.item.offsetTop - heading;
+        const bottom = active.item.offsetTop + active.item.offsetHeight;
+        if (top < list.scrollTop)
+            list.scrollTop = top;
+        else
+            list.scrollTop = Math.max(list.scrollTop, bottom - list.clientHeight);
+    }
+    choose(option) {
+        if (!option)
+            return;
+        this.activate(option);
+        showText(this.problem, "");
+        setText(this.status, texts.preparing(option.texture.name));
+        this.status.dataset.busy = "true";
+        this.selection.send(option.texture.name);
+    }
+    async select(name) {
+        const { display } = this.session;
+        if (!display)
+            throw new Error(texts.notConnected);
+        await display.select(name);
+        this.selected.set(display.name, name);
+    }
+    settle(name, error) {
+        if (error)
+            showText(this.problem, texts.selectFailed(name, error.message));
+        this.showStatus();
+        this.session.changed.emit(this.session);
+    }
+    showStatus() {
+        delete this.status.dataset.busy;
+        const name = this.selectedName;
+        setText(this.status, name ? texts.selected(name) : texts.nothingSelected);
+        for (const { texture, item } of this.options) {
+            item.setAttribute("aria-selected", String(texture.name === name));
+        }
+    }
+}
+function createGroup(category, number) {
+    const group = element("div", "", "group");
+    const heading = element("div", category, "category");
+    heading.id = `category-${number}`;
+    group.setAttribute("role", "group");
+    group.setAttribute("aria-labelledby", heading.id);
+    group.append(heading);
+    return group;
+}
+function byCategoryAndName(a, b) {
+    return a.category.localeCompare(b.category) || a.name.localeCompare(b.name);
+}

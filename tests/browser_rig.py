@@ -1,0 +1,100 @@
+"""The page in Chromium, driven by Playwright as a person would drive it."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from node_rig import tool
+from server_rig import PATIENCE
+
+if TYPE_CHECKING:
+    from playwright.async_api import Browser, Page
+
+FLAGS = ["--no-sandbox", "--force-color-profile=srgb", "--font-render-hinting=none"]
+"""Flags of Chromium: as root it has no sandbox; pictures are the same on all machines."""
+VIEWPORT = {"width": 1280, "height": 800}
+"""Size of the window [CSS px]."""
+
+
+@asynccontextmanager
+async def browsing() -> "AsyncIterator[Browser]":
+    """Run the browser of this machine."""
+    path = tool("chromium")
+    playwright = pytest.importorskip("playwright.async_api")
+    async with playwright.async_playwright() as running:
+        browser = await running.chromium.launch(executable_path=path, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            await browser.close()
+
+
+class Visitor:
+    """A window with the page, and all that went wrong in it.
+
+    Attributes
+    ----------
+    page : playwright.async_api.Page
+        The window.
+    mistakes : list of str
+        Errors of the page's console, and what its scripts threw.
+    requests : list of str
+        Addresses of all that the page has loaded.
+    """
+
+    def __init__(self, page: "Page") -> None:
+        self.page = page
+        self.mistakes: list[str] = []
+        self.requests: list[str] = []
+        page.on("console", self._log)
+        page.on("pageerror", lambda error: self.mistakes.append(str(error)))
+        page.on("request", lambda request: self.requests.append(request.url))
+
+    def _log(self, message: Any) -> None:
+        if message.type in ("error", "warning"):
+            self.mistakes.append(message.text)
+
+    def at(self, name: str) -> Any:
+        """Return the element with a `data-testid`."""
+        return self.page.get_by_test_id(name)
+
+    async def state(self, state: str) -> None:
+        """Wait until the page says that the display has a state."""
+        await self.page.wait_for_selector(f'[data-testid=state][data-state="{state}"]')
+
+    async def arm(self) -> None:
+        """Arm the display as a person does, and wait until the page says so."""
+        await self.at("arm").click()
+        await self.at("arm-confirm").click()
+        await self.state("armed")
+
+    async def choose(self, texture: str) -> None:
+        """Choose a texture, and wait until it is ready."""
+        await self.page.locator(f'[data-testid=texture][data-name="{texture}"]').click()
+        await self.page.wait_for_function(
+            "name => document.querySelector('[data-testid=selected]').textContent.includes(name)",
+            arg=texture,
+        )
+
+    async def point(self, x: float, y: float) -> tuple[float, float]:
+        """Return where a share of the pad's width and height is in the window [CSS px]."""
+        box = await self.at("pad").bounding_box()
+        return box["x"] + x * box["width"], box["y"] + y * box["height"]
+
+
+@asynccontextmanager
+async def visiting(
+    browser: "Browser", url: str, *, connected: bool = True, **options: Any
+) -> AsyncIterator[Visitor]:
+    """Open the page in a window of its own; by default wait until it is connected."""
+    context = await browser.new_context(**{"viewport": VIEWPORT, **options})
+    context.set_default_timeout(PATIENCE * 1e3)
+    try:
+        visitor = Visitor(await context.new_page())
+        await visitor.page.goto(url)
+        if connected:
+            await visitor.page.wait_for_selector('[data-testid=state]:not([data-state="offline"])')
+        yield visitor
+    finally:
+        await context.close()

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from node_rig import tool
-from server_rig import PATIENCE
 
 if TYPE_CHECKING:
     from playwright.async_api import Browser, Page
 
 FLAGS = ["--no-sandbox", "--force-color-profile=srgb", "--font-render-hinting=none"]
 """Flags of Chromium: as root it has no sandbox; pictures are the same on all machines."""
+PATIENCE_S = 300.0
+"""Longest wait for anything on the page; the first texture compiles the inner loops [s]."""
 VIEWPORT = {"width": 1280, "height": 800}
 """Size of the window [CSS px]."""
 
@@ -89,7 +90,7 @@ async def visiting(
 ) -> AsyncIterator[Visitor]:
     """Open the page in a window of its own; by default wait until it is connected."""
     context = await browser.new_context(**{"viewport": VIEWPORT, **options})
-    context.set_default_timeout(PATIENCE * 1e3)
+    context.set_default_timeout(PATIENCE_S * 1e3)
     try:
         visitor = Visitor(await context.new_page())
         await visitor.page.goto(url)

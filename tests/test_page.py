@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from browser_rig import Visitor, browsing, visiting
-from server_rig import PATIENCE, Hands, free_port, serving, until
+from browser_rig import PATIENCE_S, browsing, visiting
+from server_rig import Hands, free_port, serving, until
 
 from tactile.client import aio
 from tactile.messages import (
@@ -61,7 +61,7 @@ class Daemon:
             stdout=asyncio.subprocess.PIPE,
         )  # fmt: skip
         assert self._process.stdout is not None
-        line = await asyncio.wait_for(self._process.stdout.readline(), PATIENCE)
+        line = await asyncio.wait_for(self._process.stdout.readline(), PATIENCE_S)
         self.page = next(word for word in line.decode().split() if word.startswith("http:"))
 
     async def kill(self) -> None:
@@ -77,21 +77,6 @@ async def daemon(folder: Path, *names: str) -> AsyncIterator[Daemon]:
         yield running
     finally:
         await running.kill()
-
-
-async def stroke_until(visitor: Visitor, happens: str, *, steps: int = 40) -> None:
-    """Stroke to and fro over the pad until a JavaScript expression is true, then lift."""
-    mouse = visitor.page.mouse
-    await mouse.move(*await visitor.point(0.2, 0.5))
-    await mouse.down()
-    for k in range(100_000):
-        share = 0.2 + 0.6 * abs((k / steps) % 2 - 1)
-        await mouse.move(*await visitor.point(share, 0.5))
-        if await visitor.page.evaluate(happens):
-            break
-    else:
-        raise AssertionError(f"never so: {happens}")
-    await mouse.up()
 
 
 async def test_the_page_shows_the_display_and_loads_nothing_from_elsewhere(
@@ -110,6 +95,7 @@ def test_the_page_is_small() -> None:
     assert sum(sizes.values()) <= LARGEST_PAGE, sizes
 
 
+@pytest.mark.realtime  # high voltage ends if the browser is held up
 async def test_a_stroke_with_the_mouse_plays_the_texture_that_was_chosen(
     browser: "Browser", tmp_path: Path
 ) -> None:
@@ -132,7 +118,7 @@ async def test_a_stroke_with_the_mouse_plays_the_texture_that_was_chosen(
             await mouse.move(*await visitor.point(0.2, 0.5))
             await mouse.down()
             k = 0
-            async with asyncio.timeout(PATIENCE):
+            async with asyncio.timeout(PATIENCE_S):
                 while strongest < 1.0 or speeds < 0.01:
                     k += 1
                     share = 0.2 + 0.6 * abs((k / 40) % 2 - 1)
@@ -199,6 +185,7 @@ async def test_the_keyboard_does_all_that_a_mouse_does(browser: "Browser", tmp_p
         await until(lambda: any(isinstance(command, EStop) for _, command in hands.log))
 
 
+@pytest.mark.realtime  # high voltage ends if the browser is held up
 async def test_arming_takes_two_steps_and_disarming_one(browser: "Browser", tmp_path: Path) -> None:
     async with daemon(tmp_path) as there, visiting(browser, there.page) as visitor:
         await visitor.at("arm").click()
@@ -257,6 +244,7 @@ async def test_an_estop_without_a_server_is_not_confirmed_and_then_sent(
         await visitor.state("estopped")
 
 
+@pytest.mark.realtime  # high voltage ends if the browser is held up
 async def test_two_pages_and_a_program_see_the_same(browser: "Browser", tmp_path: Path) -> None:
     async with (
         daemon(tmp_path) as there,
@@ -275,6 +263,7 @@ async def test_two_pages_and_a_program_see_the_same(browser: "Browser", tmp_path
         await one.state("disarmed")
 
 
+@pytest.mark.realtime  # high voltage ends if the browser is held up
 async def test_another_display_can_be_chosen(browser: "Browser", tmp_path: Path) -> None:
     async with (
         daemon(tmp_path, "right", "left") as there,
@@ -409,7 +398,6 @@ async def test_nothing_is_cut_off_at_any_width(
         assert box is not None
         assert min(box["width"], box["height"]) >= 44  # WCAG 2.5.5
         await v.page.evaluate("scrollTo(0, document.body.scrollHeight)")
-        await v.page.wait_for_function("scrollY === 0 || scrollY > 0")
         after = await v.at("estop").bounding_box()
         assert after is not None
         assert 0 <= after["y"] <= size[1] - after["height"]

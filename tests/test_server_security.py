@@ -221,9 +221,10 @@ async def test_a_wrong_token_is_all_that_is_told(said: str, version: int, token_
     ):
         hello = {"type": "hello", "client": "a", "version": version, "token": said}
         found = await talker.ask(**hello)
+        wrong = "wrong token: must be" if said else "must not be empty:"
         assert found == {
             "type": "failure", "code": "unauthorized", "field": "token", "message":
-            "wrong token: must be one of server.token_file or [[token]] of the configuration",
+            f"{wrong} one of server.token_file or [[token]] of the configuration",
         }  # fmt: skip
         assert await talker.closed() == (4401, "unauthorized")
         assert hands.clients == []

@@ -52,8 +52,10 @@ READ_WITHIN = 2.0
 """Time after which a client that does not read is disconnected [s]."""
 PENALTY = 0.2
 """Time from a wrong token to the answer [s]."""
-WRONG_TOKEN = "wrong token: must be one of server.token_file or [[token]] of the configuration"
-"""Message of the failure after a wrong token."""
+TOKENS = "one of server.token_file or [[token]] of the configuration"
+"""Where tokens come from."""
+WRONG_TOKEN, NO_TOKEN = f"wrong token: must be {TOKENS}", f"must not be empty: {TOKENS}"
+"""Messages of the failures after a wrong token and without any."""
 MOST_FAILURES = 100
 """Maximum number of failures in a row before a client is disconnected."""
 MOST_ANSWERS = 256
@@ -281,7 +283,8 @@ class ServerConnection:
         roles, peer = await self._roles(hello.token)
         if roles is None:
             await asyncio.sleep(PENALTY)
-            failure = failed("unauthorized", WRONG_TOKEN, field="token", to=hello.id)
+            text = WRONG_TOKEN if hello.token else NO_TOKEN
+            failure = failed("unauthorized", text, field="token", to=hello.id)
             return self._refuse(Close(4401, "unauthorized"), failure)
         if hello.version != API_VERSION:
             text = f"version = {hello.version}: must be {API_VERSION}"

@@ -1,4 +1,5 @@
 import { Drawing, onEachFrame, wantsStillness } from "./canvas.js";
+import type { ContactorChoice } from "./contactor_choice.js";
 import { Contactors, ROOM } from "./contactors.js";
 import type { Contactor } from "./contactors.js";
 import { byId, setText } from "./dom.js";
@@ -9,6 +10,8 @@ import { texts } from "./texts.js";
 const EDGE = 0.4;
 /** Distance of the extent of a shear from its contactor, and half a tick [CSS px]. */
 const [EXTENT_GAP, TICK] = [6, 2.5];
+/** Distance of the frame of the chosen contactor from its edge [CSS px]. */
+const CHOICE_GAP = 3;
 const DESCRIBE_EVERY_MS = 1000;
 
 /** Draws the contactors of the display: each at its place, moved by its shear, with its drive. */
@@ -22,7 +25,11 @@ export class ArrayView {
   private center_x_mm = 0;
   private center_y_mm = 0;
 
-  constructor(canvas: HTMLCanvasElement, session: Session) {
+  constructor(
+    canvas: HTMLCanvasElement,
+    session: Session,
+    private readonly choice: ContactorChoice,
+  ) {
     this.drawing = new Drawing(canvas);
     this.drawing.changed.on(() => this.fit());
     session.displayChanged.on(({ display }) => {
@@ -31,12 +38,24 @@ export class ArrayView {
       this.describe();
     });
     session.telemetry.on((telemetry) => {
-      this.contactors?.take(telemetry, performance.now());
-      this.isStale = true;
+      const moves = this.contactors?.take(telemetry, performance.now()) ?? false;
+      this.isStale ||= moves;
     });
     session.changed.on(({ state }) => this.setKnown(state !== "offline" && state !== "lost"));
+    canvas.title = texts.chooseContactor;
+    canvas.addEventListener("click", ({ offsetX, offsetY }) => this.chooseAt(offsetX, offsetY));
+    choice.changed.on(() => (this.isStale = true));
     onEachFrame(() => this.draw());
     setInterval(() => this.describe(), DESCRIBE_EVERY_MS);
+  }
+
+  /** Choose the contactor that is nearest to a point of the drawing. */
+  private chooseAt(x: number, y: number): void {
+    if (!this.contactors) return;
+    const distances = this.contactors.all.map(({ x_mm, y_mm }) =>
+      Math.hypot(this.x(x_mm) - x, this.y(y_mm) - y),
+    );
+    this.choice.choose(distances.indexOf(Math.min(...distances)));
   }
 
   /** Choose the scale of the drawing so that the display fills it. */
@@ -99,6 +118,8 @@ export class ArrayView {
       const share = Math.min(drive_v / contactors.limit_v, 1);
       this.drawContactor(contactor, pixels_per_um, edge, share);
     }
+    const chosen = contactors.all[this.choice.contactor];
+    if (chosen) this.drawChoice(chosen, pixels_per_um, edge + 2 * CHOICE_GAP);
   }
 
   /**
@@ -123,14 +144,13 @@ export class ArrayView {
 
   /** Draw one contactor as a square with a bar for the share of its drive in the limit. */
   private drawContactor(
-    { x_mm, y_mm, along, up, shear_um }: Contactor,
+    contactor: Contactor,
     pixels_per_um: number,
     edge: number,
     share: number,
   ): void {
     const { context, colors } = this.drawing;
-    const x = this.x(x_mm) + along * shear_um * pixels_per_um - edge / 2;
-    const y = this.y(y_mm) - up * shear_um * pixels_per_um - edge / 2;
+    const [x, y] = this.corner(contactor, pixels_per_um, edge);
     context.fillStyle = colors.panel;
     context.fillRect(x, y, edge, edge);
     context.fillStyle = colors.drive;
@@ -141,6 +161,25 @@ export class ArrayView {
     context.strokeStyle = colors.muted;
     context.lineWidth = 1;
     context.strokeRect(x, y, edge, edge);
+  }
+
+  /** Draw a frame around the contactor that is chosen. */
+  private drawChoice(chosen: Contactor, pixels_per_um: number, edge: number): void {
+    const { context, colors } = this.drawing;
+    const [x, y] = this.corner(chosen, pixels_per_um, edge);
+    context.strokeStyle = colors.text;
+    context.lineWidth = 2;
+    context.strokeRect(x, y, edge, edge);
+  }
+
+  /** Return the left upper corner of a square around a contactor, which its shear has moved. */
+  private corner(
+    { x_mm, y_mm, along, up, shear_um }: Contactor,
+    pixels_per_um: number,
+    edge: number,
+  ): [number, number] {
+    const way = shear_um * pixels_per_um;
+    return [this.x(x_mm) + along * way - edge / 2, this.y(y_mm) - up * way - edge / 2];
   }
 
   private x(x_mm: number): number {

@@ -50,12 +50,13 @@ export class Contactors {
   readonly pitch_mm: number;
   readonly limit_v: number;
   readonly scale: ShearScale;
-  /** Whether the link reports shears. */
-  hasShear = false;
+  /** Whether the link reports shears, as it does unless it takes spectrum frames. */
+  hasShear = true;
   isArmed = false;
   largestShear_um = 0;
   largestDrive_v = 0;
   private halfBegan_ms = 0;
+  private moved_ms = -Infinity;
 
   constructor(info: DisplayDescription) {
     this.all = info.contactors_mm.map(([x_mm, y_mm], k) => {
@@ -68,8 +69,12 @@ export class Contactors {
     this.scale = new ShearScale(ROOM * this.pitch_mm);
   }
 
-  /** Take the present shears and drives. Those of a display that is not armed are old. */
-  take({ state, drive_v, shear_um }: TelemetryMessage, time_ms: number): void {
+  /**
+   * Take the present shears and drives. Those of a display that is not armed are old.
+   *
+   * @returns Whether anything is to be drawn anew: something moves, or has an extent of before.
+   */
+  take({ state, drive_v, shear_um }: TelemetryMessage, time_ms: number): boolean {
     this.isArmed = state === "armed";
     const begins = time_ms - this.halfBegan_ms > HALF_EXTENT_MS;
     if (begins) this.halfBegan_ms = time_ms;
@@ -84,6 +89,8 @@ export class Contactors {
       this.largestShear_um = Math.max(this.largestShear_um, Math.abs(contactor.shear_um));
     }
     this.scale.take(this.largestShear_um, time_ms);
+    if (this.largestShear_um > 0 || this.largestDrive_v > 0) this.moved_ms = time_ms;
+    return time_ms - this.moved_ms < 3 * HALF_EXTENT_MS;
   }
 }
 

@@ -3,6 +3,8 @@
 import { Arming } from "./arming.js";
 import { ArrayView } from "./array_view.js";
 import { showConnectionBanner } from "./connection_banner.js";
+import { ContactorChoice } from "./contactor_choice.js";
+import { ContactorPanel } from "./contactor_panel.js";
 import { showDisplayHeader } from "./display_header.js";
 import { byId, writeConstantTexts } from "./dom.js";
 import { EStopControl } from "./estop.js";
@@ -43,13 +45,16 @@ function start(): void {
   new PadKeys(pad, finger);
   new PadView(pad, finger);
   showPadHint(session, finger, () => picker.selectedName);
-  new ArrayView(byId<HTMLCanvasElement>("array"), session);
+  const choice = new ContactorChoice(session);
+  new ArrayView(byId<HTMLCanvasElement>("array"), session, choice);
+  new ContactorPanel(session, choice);
 }
 
 const missing = NEEDED.filter((name) => !(name in window));
 if (missing.length > 0) {
   byId("unsupported").textContent = texts.unsupported(missing);
 } else {
+  byId("loading").remove();
   byId("unsupported").remove();
   writeConstantTexts();
   byId("page").hidden = false;

@@ -1,6 +1,7 @@
 /** All texts that the page shows, in one place for translation. */
 
 import type { ShownState } from "./session.js";
+import { FULL_SCALE_UM } from "./speaker.js";
 
 /** Constant texts, which index.html names in `data-text` and `data-label`. */
 export const labels = {
@@ -30,6 +31,11 @@ export const labels = {
     "Space touches and lifts.",
   scaleBar: "10 mm",
   array: "Contactors",
+  contactor: "One contactor",
+  contactorChoice: "Number of the contactor",
+  listen: "Listen",
+  volume: "Volume",
+  fullScale: `At 100 %, ${FULL_SCALE_UM} µm are full scale; peaks beyond are clipped.`,
   textures: "Textures",
   search: "Search textures",
   gain: "Gain",
@@ -162,6 +168,23 @@ export const texts = {
       ? `This link does not report shears. The bars show the drive, up to ${limit_v} V.`
       : `${um_per_mm} µm are drawn as 1 mm. Bars: drive up to ${limit_v} V. ` +
         "Lines: range of the shear in the last 0.3 s.",
+
+  // One contactor
+  chooseContactor: "Click a contactor to see its spectrum.",
+  frequencyTick: (frequency_hz: number) =>
+    frequency_hz === 10 ? "10 Hz" : frequency_hz === 1000 ? "1 kHz" : String(frequency_hz),
+  shearTick: (shear_um: number) => (shear_um === 100 ? "100 µm" : String(shear_um)),
+  threshold: "Detection threshold",
+  bars: "Peak per third octave",
+  strongest: (level_db: number, frequency_hz: number) =>
+    `Strongest: ${level_db.toFixed(0)} dB above threshold at ${frequency_hz} Hz`,
+  belowThreshold: "Below threshold everywhere",
+  nothingPlays: "Nothing plays",
+  noTrace: "This link takes spectra: there are no samples to show, or to listen to.",
+  spectrum: (contactor: number, [x_mm, y_mm]: readonly [number, number], summary: string) =>
+    `Commanded shear of contactor ${contactor} at x ${x_mm.toFixed(1)} mm, ` +
+    `y ${y_mm.toFixed(1)} mm in third octaves from 10 Hz to 1 kHz, and the detection threshold. ${sentence(summary)}`,
+  listenFailed: (message: string) => `The loudspeaker cannot be used: ${sentence(message)}`,
 
   // Textures and gain
   provenance: (provenance: string) => provenances[provenance] ?? `Parameters: ${provenance}`,

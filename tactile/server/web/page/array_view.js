@@ -6,10 +6,13 @@ import { texts } from "./texts.js";
 const EDGE = 0.4;
 /** Distance of the extent of a shear from its contactor, and half a tick [CSS px]. */
 const [EXTENT_GAP, TICK] = [6, 2.5];
+/** Distance of the frame of the chosen contactor from its edge [CSS px]. */
+const CHOICE_GAP = 3;
 const DESCRIBE_EVERY_MS = 1000;
 /** Draws the contactors of the display: each at its place, moved by its shear, with its drive. */
 export class ArrayView {
-    constructor(canvas, session) {
+    constructor(canvas, session, choice) {
+        this.choice = choice;
         this.isStale = true;
         /** Whether the server reports what the contactors do. */
         this.isKnown = false;
@@ -24,12 +27,22 @@ export class ArrayView {
             this.describe();
         });
         session.telemetry.on((telemetry) => {
-            this.contactors?.take(telemetry, performance.now());
-            this.isStale = true;
+            const moves = this.contactors?.take(telemetry, performance.now()) ?? false;
+            this.isStale ||= moves;
         });
         session.changed.on(({ state }) => this.setKnown(state !== "offline" && state !== "lost"));
+        canvas.title = texts.chooseContactor;
+        canvas.addEventListener("click", ({ offsetX, offsetY }) => this.chooseAt(offsetX, offsetY));
+        choice.changed.on(() => (this.isStale = true));
         onEachFrame(() => this.draw());
         setInterval(() => this.describe(), DESCRIBE_EVERY_MS);
+    }
+    /** Choose the contactor that is nearest to a point of the drawing. */
+    chooseAt(x, y) {
+        if (!this.contactors)
+            return;
+        const distances = this.contactors.all.map(({ x_mm, y_mm }) => Math.hypot(this.x(x_mm) - x, this.y(y_mm) - y));
+        this.choice.choose(distances.indexOf(Math.min(...distances)));
     }
     /** Choose the scale of the drawing so that the display fills it. */
     fit() {
@@ -91,6 +104,9 @@ export class ArrayView {
             const share = Math.min(drive_v / contactors.limit_v, 1);
             this.drawContactor(contactor, pixels_per_um, edge, share);
         }
+        const chosen = contactors.all[this.choice.contactor];
+        if (chosen)
+            this.drawChoice(chosen, pixels_per_um, edge + 2 * CHOICE_GAP);
     }
     /**
      * Draw the extent of each shear beside the contactor, with a tick at its place. All are one path,
@@ -112,10 +128,9 @@ export class ArrayView {
         context.stroke();
     }
     /** Draw one contactor as a square with a bar for the share of its drive in the limit. */
-    drawContactor({ x_mm, y_mm, along, up, shear_um }, pixels_per_um, edge, share) {
+    drawContactor(contactor, pixels_per_um, edge, share) {
         const { context, colors } = this.drawing;
-        const x = this.x(x_mm) + along * shear_um * pixels_per_um - edge / 2;
-        const y = this.y(y_mm) - up * shear_um * pixels_per_um - edge / 2;
+        const [x, y] = this.corner(contactor, pixels_per_um, edge);
         context.fillStyle = colors.panel;
         context.fillRect(x, y, edge, edge);
         context.fillStyle = colors.drive;
@@ -126,6 +141,19 @@ export class ArrayView {
         context.strokeStyle = colors.muted;
         context.lineWidth = 1;
         context.strokeRect(x, y, edge, edge);
+    }
+    /** Draw a frame around the contactor that is chosen. */
+    drawChoice(chosen, pixels_per_um, edge) {
+        const { context, colors } = this.drawing;
+        const [x, y] = this.corner(chosen, pixels_per_um, edge);
+        context.strokeStyle = colors.text;
+        context.lineWidth = 2;
+        context.strokeRect(x, y, edge, edge);
+    }
+    /** Return the left upper corner of a square around a contactor, which its shear has moved. */
+    corner({ x_mm, y_mm, along, up, shear_um }, pixels_per_um, edge) {
+        const way = shear_um * pixels_per_um;
+        return [this.x(x_mm) + along * way - edge / 2, this.y(y_mm) - up * way - edge / 2];
     }
     x(x_mm) {
         return this.drawing.width / 2 + (x_mm - this.center_x_mm) * this.pixels_per_mm;

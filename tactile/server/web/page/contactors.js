@@ -31,12 +31,13 @@ class Extent {
 /** The contactors of one display, with their present shears and drives. */
 export class Contactors {
     constructor(info) {
-        /** Whether the link reports shears. */
-        this.hasShear = false;
+        /** Whether the link reports shears, as it does unless it takes spectrum frames. */
+        this.hasShear = true;
         this.isArmed = false;
         this.largestShear_um = 0;
         this.largestDrive_v = 0;
         this.halfBegan_ms = 0;
+        this.moved_ms = -Infinity;
         this.all = info.contactors_mm.map(([x_mm, y_mm], k) => {
             const angle = ((info.shear_direction_deg[k] ?? 0) * Math.PI) / 180;
             const [along, up] = [Math.cos(angle), Math.sin(angle)];
@@ -46,7 +47,11 @@ export class Contactors {
         this.pitch_mm = smallestDistance(this.all);
         this.scale = new ShearScale(ROOM * this.pitch_mm);
     }
-    /** Take the present shears and drives. Those of a display that is not armed are old. */
+    /**
+     * Take the present shears and drives. Those of a display that is not armed are old.
+     *
+     * @returns Whether anything is to be drawn anew: something moves, or has an extent of before.
+     */
     take({ state, drive_v, shear_um }, time_ms) {
         this.isArmed = state === "armed";
         const begins = time_ms - this.halfBegan_ms > HALF_EXTENT_MS;
@@ -65,6 +70,9 @@ export class Contactors {
             this.largestShear_um = Math.max(this.largestShear_um, Math.abs(contactor.shear_um));
         }
         this.scale.take(this.largestShear_um, time_ms);
+        if (this.largestShear_um > 0 || this.largestDrive_v > 0)
+            this.moved_ms = time_ms;
+        return time_ms - this.moved_ms < 3 * HALF_EXTENT_MS;
     }
 }
 /** Return the distance of the two nearest contactors; that of a fingertip if there is only one. */

@@ -2,6 +2,8 @@
 import { Arming } from "./arming.js";
 import { ArrayView } from "./array_view.js";
 import { showConnectionBanner } from "./connection_banner.js";
+import { ContactorChoice } from "./contactor_choice.js";
+import { ContactorPanel } from "./contactor_panel.js";
 import { showDisplayHeader } from "./display_header.js";
 import { byId, writeConstantTexts } from "./dom.js";
 import { EStopControl } from "./estop.js";
@@ -40,13 +42,16 @@ function start() {
     new PadKeys(pad, finger);
     new PadView(pad, finger);
     showPadHint(session, finger, () => picker.selectedName);
-    new ArrayView(byId("array"), session);
+    const choice = new ContactorChoice(session);
+    new ArrayView(byId("array"), session, choice);
+    new ContactorPanel(session, choice);
 }
 const missing = NEEDED.filter((name) => !(name in window));
 if (missing.length > 0) {
     byId("unsupported").textContent = texts.unsupported(missing);
 }
 else {
+    byId("loading").remove();
     byId("unsupported").remove();
     writeConstantTexts();
     byId("page").hidden = false;

@@ -1,4 +1,5 @@
 /** All texts that the page shows, in one place for translation. */
+import { FULL_SCALE_UM } from "./speaker.js";
 /** Constant texts, which index.html names in `data-text` and `data-label`. */
 export const labels = {
     product: "tactile",
@@ -25,6 +26,11 @@ export const labels = {
         "Space touches and lifts.",
     scaleBar: "10 mm",
     array: "Contactors",
+    contactor: "One contactor",
+    contactorChoice: "Number of the contactor",
+    listen: "Listen",
+    volume: "Volume",
+    fullScale: `At 100 %, ${FULL_SCALE_UM} µm are full scale; peaks beyond are clipped.`,
     textures: "Textures",
     search: "Search textures",
     gain: "Gain",
@@ -128,6 +134,19 @@ export const texts = {
         ? `This link does not report shears. The bars show the drive, up to ${limit_v} V.`
         : `${um_per_mm} µm are drawn as 1 mm. Bars: drive up to ${limit_v} V. ` +
             "Lines: range of the shear in the last 0.3 s.",
+    // One contactor
+    chooseContactor: "Click a contactor to see its spectrum.",
+    frequencyTick: (frequency_hz) => frequency_hz === 10 ? "10 Hz" : frequency_hz === 1000 ? "1 kHz" : String(frequency_hz),
+    shearTick: (shear_um) => (shear_um === 100 ? "100 µm" : String(shear_um)),
+    threshold: "Detection threshold",
+    bars: "Peak per third octave",
+    strongest: (level_db, frequency_hz) => `Strongest: ${level_db.toFixed(0)} dB above threshold at ${frequency_hz} Hz`,
+    belowThreshold: "Below threshold everywhere",
+    nothingPlays: "Nothing plays",
+    noTrace: "This link takes spectra: there are no samples to show, or to listen to.",
+    spectrum: (contactor, [x_mm, y_mm], summary) => `Commanded shear of contactor ${contactor} at x ${x_mm.toFixed(1)} mm, ` +
+        `y ${y_mm.toFixed(1)} mm in third octaves from 10 Hz to 1 kHz, and the detection threshold. ${sentence(summary)}`,
+    listenFailed: (message) => `The loudspeaker cannot be used: ${sentence(message)}`,
     // Textures and gain
     provenance: (provenance) => provenances[provenance] ?? `Parameters: ${provenance}`,
     noTextureMatches: (search) => `No texture matches “${search}”.`,

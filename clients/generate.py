@@ -7,12 +7,16 @@ files that differ from what it would write, and exits with code 1 if there are a
 import sys
 from pathlib import Path
 
+from clients.c_header import c_header_text
 from clients.model import api_model
 from clients.typescript import typescript_text
 
 HERE = Path(__file__).parent
 """Folder of the clients."""
-TEMPLATES = {"javascript/client/messages.ts": typescript_text}
+TEMPLATES = {
+    "javascript/client/messages.ts": typescript_text,
+    "c/tactile_client.h": c_header_text,
+}
 """Function from the model to the text of each file."""
 
 

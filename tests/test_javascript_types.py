@@ -79,9 +79,12 @@ def test_a_file_that_differs_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(generate, "HERE", tmp_path)
-    (tmp_path / "javascript" / "client").mkdir(parents=True)
+    for name in generate.TEMPLATES:
+        (tmp_path / name).parent.mkdir(parents=True)
     assert generate.main(["--check"]) == 1
-    assert capsys.readouterr().err == "messages.ts differs; run python -m clients.generate\n"
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "messages.ts differs; run python -m clients.generate"
+    assert len(lines) == len(generate.TEMPLATES)
     assert generate.main([]) == 0
     assert generate.main(["--check"]) == 0
 

@@ -26,6 +26,7 @@ from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
 from benchmarks.maps import measure_maps
 from benchmarks.optimize import measure_optimize
+from benchmarks.page import measure_page
 from benchmarks.protocol import measure_protocol
 from benchmarks.realism import measure_realism
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
@@ -69,6 +70,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "tracking": measure_tracking,
     "travel": measure_travel,
     "latency": measure_latency,
+    "page": measure_page,
     "waves": measure_waves,
     "crowd": crowd.measure_crowd,
     "optimize": measure_optimize,

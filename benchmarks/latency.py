@@ -139,7 +139,7 @@ def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
     yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)
 
 
-def _traced_child(child: type[Child], module: str, *rest: Any) -> Child:
+def traced_child(child: type[Child], module: str, *rest: Any) -> Child:
     """Start the traced playback in place of a playback process."""
     assert module == "tactile.playback.process"
     return child(traced_playback.__name__, *rest)
@@ -149,7 +149,7 @@ def _measured(name: str, options: str, seconds: float, *, goals: bool) -> Iterat
     with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
         device = f"serial://{amplifier.path}{options}"
         with (
-            patch.object(server_playing, "Child", partial(_traced_child, Child)),
+            patch.object(server_playing, "Child", partial(traced_child, Child)),
             patch.dict(os.environ, {FILE: str(folder / "trace.npy")}),
         ):
             trace, sent, stats = asyncio.run(_session(folder, device, seconds))

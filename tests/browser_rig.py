@@ -4,14 +4,13 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
-import pytest
-from node_rig import tool
+from node_rig import miss
+
+from benchmarks.page import chromium, no_browser
 
 if TYPE_CHECKING:
     from playwright.async_api import Browser, Page
 
-FLAGS = ["--no-sandbox", "--force-color-profile=srgb", "--font-render-hinting=none"]
-"""Flags of Chromium: as root it has no sandbox; pictures are the same on all machines."""
 PATIENCE_S = 300.0
 """Longest wait for anything on the page; the first texture compiles the inner loops [s]."""
 VIEWPORT = {"width": 1280, "height": 800}
@@ -21,14 +20,10 @@ VIEWPORT = {"width": 1280, "height": 800}
 @asynccontextmanager
 async def browsing() -> "AsyncIterator[Browser]":
     """Run the browser of this machine."""
-    path = tool("chromium")
-    playwright = pytest.importorskip("playwright.async_api")
-    async with playwright.async_playwright() as running:
-        browser = await running.chromium.launch(executable_path=path, args=FLAGS)
-        try:
-            yield browser
-        finally:
-            await browser.close()
+    if why := no_browser():
+        miss(why)
+    async with chromium() as browser:
+        yield browser
 
 
 class Visitor:

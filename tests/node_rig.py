@@ -17,15 +17,19 @@ from tactile.server.page import FOLDER
 EVALUATOR = Path(__file__).parent / "node_evaluator.mjs"
 
 
+def miss(what: str) -> None:
+    """Skip for want of a tool; where CI promises it, its absence is a failure."""
+    if os.environ.get("CI") == "true":
+        pytest.fail(what)
+    pytest.skip(what)
+
+
 def tool(name: str) -> str:
-    """Return the path of a program, or skip; where CI promises it, its absence is a failure."""
+    """Return the path of a program, or skip without it."""
     path = shutil.which(name)
     if path is None:
-        missing = f"no {name} on PATH"
-        if os.environ.get("CI") == "true":
-            pytest.fail(missing)
-        pytest.skip(missing)
-    return path
+        miss(f"no {name} on PATH")
+    return str(path)
 
 
 class NodeError(Exception):

@@ -4,15 +4,17 @@
     python docs/pictures.py played links
 
 Each function of `PICTURES` writes the file of its name beside this one. It needs the extras plot,
-picture and study. Friction is left out of strokes whose drive is drawn: its steady part would hide
-what the texture does.
+picture and study, and for "web-page" Playwright and Chromium. Friction is left out of strokes whose
+drive is drawn: its steady part would hide what the texture does.
 """
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import matplotlib
 
@@ -327,10 +329,54 @@ def tracking(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+# The page of the server
+
+
+def served(folder: str) -> "subprocess.Popen[str]":
+    """Start a server of the simulated display at a free port."""
+    config = Path(folder) / "tactile.toml"
+    config.write_text(
+        f'[server]\nport = 0\nsocket = "{folder}/socket"\n[osc]\nport = 0\n'
+        '[[display]]\nname = "right"\ndevice = "sim:"\n'
+    )
+    words = [sys.executable, "-m", "tactile", "serve", "--config", str(config)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+
+
+def web_page(path: Path) -> None:
+    """Draw the page of the server while a mouse strokes oak."""
+    from playwright.sync_api import sync_playwright
+
+    with TemporaryDirectory() as folder, served(folder) as server, sync_playwright() as running:
+        assert server.stdout is not None
+        address = next(word for word in server.stdout.readline().split() if "http" in word)
+        browser = running.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )
+        window = browser.new_page(viewport={"width": 1280, "height": 800}, device_scale_factor=1.5)
+        window.goto(address)
+        window.locator("[data-name=wood-oak]").click()
+        window.get_by_test_id("arm").click()
+        window.get_by_test_id("arm-confirm").click()
+        window.wait_for_selector("[data-state=armed]")
+        box = window.get_by_test_id("pad").bounding_box()
+        assert box is not None
+        middle = box["y"] + box["height"] / 2
+        window.mouse.move(box["x"] + 40, middle)
+        window.mouse.down()
+        for k in range(100):  # 2.5 CSS px in 8 ms are 80 mm/s
+            window.mouse.move(box["x"] + 40 + 2.5 * k, middle + 20 * np.sin(k / 12))
+            window.wait_for_timeout(8)
+        window.screenshot(path=path)
+        browser.close()
+        server.terminate()
+
+
 PICTURES: dict[str, Callable[[Path], None]] = {
     draw.__name__.replace("_", "-"): draw
     for draw in (
         played, response, textures, wood_oak, length_study, pareto, protocol, links, tracking,
+        web_page,
     )
 }  # fmt: skip
 

@@ -244,7 +244,20 @@ async def chromium() -> AsyncIterator["Browser"]:
 
 @asynccontextmanager
 async def window_of(browser: "Browser", url: str) -> AsyncIterator[PageWindow]:
-    """Open the page in a window that shares nothing with others."""
+    """Open the page in a window that shares nothing with others.
+
+    Parameters
+    ----------
+    browser : playwright.async_api.Browser
+        Running browser.
+    url : str
+        URL of the page.
+
+    Yields
+    ------
+    PageWindow
+        Window that is connected to the server.
+    """
     context = await browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
     context.set_default_timeout(PATIENCE * 1e3)
     try:
@@ -278,7 +291,18 @@ class SimulatedServer(ServerProcess):
 
 @contextmanager
 def simulated_server(server: str = "") -> Iterator[SimulatedServer]:
-    """Run a server with folders of its own for state and sockets."""
+    """Run a server with folders of its own for state and sockets.
+
+    Parameters
+    ----------
+    server : str
+        Further lines of the table ``server``.
+
+    Yields
+    ------
+    SimulatedServer
+        Running server.
+    """
     with tempfile.TemporaryDirectory(prefix="t-") as own:
         folders = {"STATE_DIRECTORY": f"{own}/state", "RUNTIME_DIRECTORY": f"{own}/run"}
         with (
@@ -289,18 +313,55 @@ def simulated_server(server: str = "") -> Iterator[SimulatedServer]:
 
 
 def page_of(server: ServerProcess) -> str:
-    """Return the URL of a server's page."""
+    """Return the URL of a server's page.
+
+    Parameters
+    ----------
+    server : ServerProcess
+        Running server.
+
+    Returns
+    -------
+    str
+        URL for a browser.
+    """
     return f"http://127.0.0.1:{server.port}/"
 
 
 def processor_seconds(pid: int) -> float:
-    """Return the processor time that a process has used, user and system [s]."""
+    """Return the processor time that a process has used.
+
+    Parameters
+    ----------
+    pid : int
+        Identifier of the process.
+
+    Returns
+    -------
+    float
+        Time of user and system [s].
+    """
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
 
 async def share_of_core(pid: int, work: Awaitable[T]) -> tuple[float, T]:
-    """Return which share of a core a process uses during some work [%], and what that returns."""
+    """Measure which share of a core a process uses during some work.
+
+    Parameters
+    ----------
+    pid : int
+        Identifier of the process.
+    work : awaitable
+        Work to wait for.
+
+    Returns
+    -------
+    share : float
+        Share of a core [%].
+    outcome : object
+        What the work returns.
+    """
     begun, used = time.monotonic(), processor_seconds(pid)
     outcome = await work
     return 100 * (processor_seconds(pid) - used) / (time.monotonic() - begun), outcome

@@ -161,38 +161,43 @@ class PageWindow:
     ----------
     page : playwright.async_api.Page
         The window.
+
+    Attributes
+    ----------
+    page : playwright.async_api.Page
+        The window.
     """
 
     def __init__(self, page: "Page") -> None:
-        self._page = page
+        self.page = page
 
     async def open(self, url: str) -> None:
         """Open the page, and wait until it is connected."""
-        await self._page.goto(url)
-        await self._page.wait_for_selector('[data-testid=state]:not([data-state="offline"])')
+        await self.page.goto(url)
+        await self.page.wait_for_selector('[data-testid=state]:not([data-state="offline"])')
 
     async def choose(self, texture: str) -> None:
         """Choose a texture, and wait until it is ready."""
-        await self._page.locator(f'[data-testid=texture][data-name="{texture}"]').click()
+        await self.page.locator(f'[data-testid=texture][data-name="{texture}"]').click()
         chosen = (
             "name => document.querySelector('[data-testid=selected]').textContent.includes(name)"
         )
-        await self._page.wait_for_function(chosen, arg=texture)
+        await self.page.wait_for_function(chosen, arg=texture)
 
     async def arm(self) -> None:
         """Arm the display, and wait until the page says so."""
-        await self._page.get_by_test_id("arm").click()
-        await self._page.get_by_test_id("arm-confirm").click()
-        await self._page.wait_for_selector('[data-testid=state][data-state="armed"]')
+        await self.page.get_by_test_id("arm").click()
+        await self.page.get_by_test_id("arm-confirm").click()
+        await self.page.wait_for_selector('[data-testid=state][data-state="armed"]')
 
     async def stroke(self, seconds: float) -> None:
         """Press the mouse on the pad, stroke to and fro, and release it."""
-        box = await self._page.get_by_test_id("pad").bounding_box()
+        box = await self.page.get_by_test_id("pad").bounding_box()
         assert box is not None
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        await self._page.mouse.move(x, y)
-        await self._page.mouse.down()
-        browser = await self._page.context.new_cdp_session(self._page)
+        await self.page.mouse.move(x, y)
+        await self.page.mouse.down()
+        browser = await self.page.context.new_cdp_session(self.page)
         move = {"type": "mouseMoved", "button": "left", "buttons": 1, "y": y}
         begun = time.monotonic()
         async with asyncio.TaskGroup() as moves:
@@ -201,26 +206,26 @@ class PageWindow:
                 moved = x + SWING * box["width"] * math.sin(TURNS * k / MOVES)
                 sent = browser.send("Input.dispatchMouseEvent", move | {"x": moved})
                 moves.create_task(sent)
-        await self._page.mouse.up()
+        await self.page.mouse.up()
 
     async def frames_per_second(self) -> float:
         """Return how many frames the page draws per second, counted for `FRAMES_SECONDS`."""
-        return float(await self._page.evaluate(COUNT_FRAMES, FRAMES_SECONDS))
+        return float(await self.page.evaluate(COUNT_FRAMES, FRAMES_SECONDS))
 
     async def clock(self) -> tuple[float, float]:
         """Return this program's monotonic clock less that of the page, and its uncertainty [s]."""
         quickest = math.inf, 0.0
         for _ in range(EXCHANGES):
             before = time.monotonic()
-            page_time = 1e-3 * await self._page.evaluate("performance.now()")
+            page_time = 1e-3 * await self.page.evaluate("performance.now()")
             after = time.monotonic()
             quickest = min(quickest, ((after - before) / 2, (before + after) / 2 - page_time))
         return quickest[1], quickest[0] + RESOLUTION
 
     async def loaded(self) -> tuple[float, float]:
         """Return the size of what was loaded [kB] and the time of the first paint [ms]."""
-        painted = await self._page.evaluate(FIRST_PAINT)
-        return await self._page.evaluate(TRANSFERRED) / 1000, painted
+        painted = await self.page.evaluate(FIRST_PAINT)
+        return await self.page.evaluate(TRANSFERRED) / 1000, painted
 
 
 @asynccontextmanager

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from node_rig import miss
 
-from benchmarks.page import chromium, no_browser
+from benchmarks.page import PageWindow, chromium, no_browser
 
 if TYPE_CHECKING:
     from playwright.async_api import Browser, Page
@@ -26,13 +26,11 @@ async def browsing() -> "AsyncIterator[Browser]":
         yield browser
 
 
-class Visitor:
+class Visitor(PageWindow):
     """A window with the page, and all that went wrong in it.
 
     Attributes
     ----------
-    page : playwright.async_api.Page
-        The window.
     mistakes : list of str
         Errors of the page's console, and what its scripts threw.
     requests : list of str
@@ -40,7 +38,7 @@ class Visitor:
     """
 
     def __init__(self, page: "Page") -> None:
-        self.page = page
+        super().__init__(page)
         self.mistakes: list[str] = []
         self.requests: list[str] = []
         page.on("console", self._log)
@@ -58,20 +56,6 @@ class Visitor:
     async def state(self, state: str) -> None:
         """Wait until the page says that the display has a state."""
         await self.page.wait_for_selector(f'[data-testid=state][data-state="{state}"]')
-
-    async def arm(self) -> None:
-        """Arm the display as a person does, and wait until the page says so."""
-        await self.at("arm").click()
-        await self.at("arm-confirm").click()
-        await self.state("armed")
-
-    async def choose(self, texture: str) -> None:
-        """Choose a texture, and wait until it is ready."""
-        await self.page.locator(f'[data-testid=texture][data-name="{texture}"]').click()
-        await self.page.wait_for_function(
-            "name => document.querySelector('[data-testid=selected]').textContent.includes(name)",
-            arg=texture,
-        )
 
     async def point(self, x: float, y: float) -> tuple[float, float]:
         """Return where a share of the pad's width and height is in the window [CSS px]."""

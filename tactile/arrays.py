@@ -11,3 +11,5 @@ Complex = NDArray[np.complex128]
 """Array of double-precision complex numbers."""
 Ints = NDArray[np.int64]
 """Array of 64-bit integers."""
+Bytes = NDArray[np.uint8]
+"""Array of unsigned 8-bit integers."""

@@ -21,21 +21,15 @@ from tactile.display.display import Display
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.equalizer import PASS_BAND
 from tactile.rendering.renderer import BLOCK, Renderer
-from tactile.rendering.shear import EventField
+from tactile.rendering.surface_picture import surface_heights
 from tactile.strength.commanded import commanded_lines, law_factor, random_lines
 from tactile.strength.figures import ShearFigures
 from tactile.strength.strength import SteadyStroke, commanded_figures, conditions, texture_strength
 from tactile.texture.bands import nominal_centers, third_octaves
-from tactile.texture.descriptor import Events, Periodic
+from tactile.texture.descriptor import Periodic
 from tactile.texture.event_power import power_below
 from tactile.texture.perception import band_sensation, detection_threshold
-from tactile.texture.surface import (
-    Partials,
-    Surface,
-    Texture,
-    envelope_scale,
-    without_friction,
-)
+from tactile.texture.surface import Texture, without_friction
 
 BANDS = 34
 """Number of third octaves, from 1 Hz to 2 kHz."""
@@ -313,19 +307,8 @@ def surface_patch(
     (pixels, pixels) array of float
         Displacement as y by x [m].
     """
-    surface = texture.realize()
     place = pixel_places(side, pixels)
-    beside = surface.beside_fields
-    bands, gratings = beside.split
-    field = _waves_on(bands, place)
-    for random in surface.fields:
-        field += random.at(np.stack(np.meshgrid(place, place), axis=-1))
-    if len(beside.envelope.amplitude):
-        field *= envelope_scale(beside.envelope) * np.exp(_waves_on(beside.envelope, place))
-    field += _waves_on(gratings, place)
-    if len(surface.event_peak):
-        field += _events_on(surface, texture.descriptor.events, place)
-    return law_factor(texture, speed, normal_force) * field
+    return law_factor(texture, speed, normal_force) * surface_heights(texture, place, place)
 
 
 def pixel_places(side: float, pixels: int) -> Floats:
@@ -344,21 +327,6 @@ def pixel_places(side: float, pixels: int) -> Floats:
         Coordinates, symmetric about 0 [m].
     """
     return np.asarray(((np.arange(pixels) + 0.5) / pixels - 0.5) * side)
-
-
-def _waves_on(partials: Partials, place: Floats) -> Floats:
-    """Return Σ a cos(k·p + φ) [m] on a square grid as y by x, as a product of two matrices."""
-    along_x, along_y = np.exp(1j * partials.wave_vector.T[:, None, :] * place[:, None])
-    phasor = partials.amplitude * np.exp(1j * partials.phase)
-    return np.asarray(((along_y * phasor) @ along_x.T).real)
-
-
-def _events_on(surface: Surface, kinds: tuple[Events, ...], place: Floats) -> Floats:
-    """Return the sparse events [m] on a square grid, as y by x."""
-    y, x = np.meshgrid(place, place, indexing="ij")
-    shear = np.zeros((x.size, 1), np.float32)
-    EventField(surface, kinds, np.zeros((1, 2))).add_to(shear, np.stack([x.ravel(), y.ravel()]))
-    return shear[:, 0].reshape(x.shape).astype(np.float64)
 
 
 def texture_spectrum(

@@ -104,6 +104,13 @@ Milliseconds = Annotated[float, Meta(ge=0, le=60_000)]
 Hertz = Annotated[float, Meta(ge=0, le=1000)]
 """Frequency of an effect [Hz]."""
 
+Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
+"""Seed of the random realization of a texture."""
+PixelCount = Annotated[int, Meta(ge=1, le=4096)]
+"""Number of pixels along one side of a picture."""
+MOST_PIXELS = 1 << 18
+"""Maximum number of pixels of a picture."""
+
 Role = Literal["watch", "play", "arm", "stop"]
 """Permission of a client; the module docstring says what each role allows."""
 ALL_ROLES: frozenset[Role] = frozenset(get_args(Role))
@@ -219,6 +226,39 @@ class ListTextures(Request, frozen=True, kw_only=True, tag="list_textures"):
     """Ask for all textures that can be selected; answered by `Textures`."""
 
 
+class DrawTexture(Request, frozen=True, kw_only=True, tag="draw_texture"):
+    """Ask for a picture of a texture's surface; answered by `TexturePicture`.
+
+    A picture may take a second. It does not delay other requests of the client, so that answers may
+    come in another order, and it waits for textures that are being prepared.
+
+    Attributes
+    ----------
+    texture : str
+        Name of a texture, as listed in `Textures`.
+    seed : int
+        Seed of the random realization, as in `Layer`.
+    left_mm : float
+        Coordinate x of the left edge of the picture [mm].
+    bottom_mm : float
+        Coordinate y of the lower edge [mm].
+    pixel_mm : float
+        Side of a pixel, which is the mean over its area [mm].
+    columns : int
+        Number of pixels along x.
+    rows : int
+        Number of pixels along y; with the columns at most 262 144 pixels in all.
+    """
+
+    texture: Name
+    seed: Seed = 0
+    left_mm: Millimeters
+    bottom_mm: Millimeters
+    pixel_mm: Annotated[float, Meta(ge=1e-3, le=10)]
+    columns: PixelCount
+    rows: PixelCount
+
+
 class Layer(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One of the textures that a client superimposes.
 
@@ -235,7 +275,7 @@ class Layer(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     texture: Name
     gain: Fraction = 1.0
-    seed: Annotated[int, Meta(ge=0, le=2**31 - 1)] = 0
+    seed: Seed = 0
 
 
 class Select(DisplayRequest, frozen=True, kw_only=True, tag="select"):
@@ -631,6 +671,25 @@ class Textures(Reply, frozen=True, kw_only=True, tag="textures"):
     textures: tuple[TextureInfo, ...]
 
 
+class TexturePicture(Reply, frozen=True, kw_only=True, tag="texture_picture"):
+    """Answer to `DrawTexture`: displacement of the surface in 256 steps.
+
+    Attributes
+    ----------
+    lowest_um : float
+        Displacement that the value 0 stands for, at the texture's reference speed and force [µm].
+    highest_um : float
+        Displacement that the value 255 stands for [µm].
+    pixels : bytes
+        Displacement of each pixel, row by row from the largest y (a base64 string in JSON). Half a
+        percent of the pixels is clipped at either end.
+    """
+
+    lowest_um: float
+    highest_um: float
+    pixels: bytes
+
+
 class EffectInfo(Struct, frozen=True, kw_only=True):
     """Description of an effect that can be played by name.
 
@@ -830,7 +889,7 @@ class TelemetryFinger(Struct, frozen=True, kw_only=True):
 
 
 class TelemetryTrace(Struct, frozen=True, kw_only=True):
-    """Commanded shear of one contactor, sample by sample.
+    """Shear of one contactor, sample by sample.
 
     Attributes
     ----------
@@ -881,8 +940,11 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     finger : TelemetryFinger or null
         Loads of the finger on a display that follows it; null where they are not known.
     trace : TelemetryTrace or null
-        Shear of the contactor that `Subscribe` named; null without one, and on a link that takes
-        spectrum frames.
+        Commanded shear of the contactor that `Subscribe` named; null without one, and on a link
+        that takes spectrum frames.
+    played : TelemetryTrace or null
+        Shear of the skin at that contactor on a simulated display, which alone knows it. Its
+        samples are later than those of ``trace``, and have numbers of their own.
     """
 
     display: str
@@ -897,17 +959,18 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     put_out_share: float | None = None
     finger: TelemetryFinger | None = None
     trace: TelemetryTrace | None = None
+    played: TelemetryTrace | None = None
 
 
 Command = (
-    ClientHello | ListTextures | Select | Contact | Resume | StopPlaying | SetGain | Append
-    | PlayEffect | ListEffects | PlayNamedEffect | ArmDisplay | DisarmDisplay | EStop | ClearEstop
-    | Subscribe | GetStats | Ping
+    ClientHello | ListTextures | DrawTexture | Select | Contact | Resume | StopPlaying | SetGain
+    | Append | PlayEffect | ListEffects | PlayNamedEffect | ArmDisplay | DisarmDisplay | EStop
+    | ClearEstop | Subscribe | GetStats | Ping
 )  # fmt: skip
 """Any message of a client."""
 Answer = (
-    Welcome | Textures | Effects | Done | AppendedReply | Pong | StatsReply | Failure | EventMessage
-    | TelemetryMessage
+    Welcome | Textures | TexturePicture | Effects | Done | AppendedReply | Pong | StatsReply
+    | Failure | EventMessage | TelemetryMessage
 )  # fmt: skip
 """Any message of the server."""
 

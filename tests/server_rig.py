@@ -29,6 +29,7 @@ from tactile.messages import (
     Command,
     Contact,
     DisarmDisplay,
+    DrawTexture,
     DisplayDescription,
     Done,
     EffectInfo,
@@ -45,6 +46,7 @@ from tactile.messages import (
     Subscribe,
     TelemetryMessage,
     TextureInfo,
+    TexturePicture,
     Textures,
 )
 from tactile.server.client import Client
@@ -122,6 +124,9 @@ class Hand(Client):
         elif isinstance(command, ListTextures):
             info = TextureInfo(name=TEXTURE, category="wood", description="", provenance="authored")
             return Textures(textures=(info,))
+        elif isinstance(command, DrawTexture):
+            pixels = bytes(k % 256 for k in range(command.columns * command.rows))
+            return TexturePicture(lowest_um=-1.0, highest_um=2.0, pixels=pixels)
         elif isinstance(command, ListEffects):
             return Effects(effects=(EffectInfo(name="tap", description="", seconds=0.02),))
         elif isinstance(command, Append):

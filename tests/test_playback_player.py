@@ -20,7 +20,8 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.block_rendering import SamplePlayback
 from tactile.playback.loop import PlaybackLoop
-from tactile.playback.shared_memory import TRACE, PlaybackMemory
+from tactile.playback.shear_ring import LENGTH
+from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.voice import Voice
 from tactile.playback.waves import Curve
 from tactile.rendering.contact import Trajectory
@@ -394,7 +395,7 @@ def test_spectrum_frames_are_played_where_the_link_takes_them(display: Display) 
 def test_the_trace_is_the_commanded_shear_sample_by_sample(stage: Stage, display: Display) -> None:
     stage.slide(0.5)
     stage.player.write_report()
-    first, shear = stage.memory.trace(3, 2400)
+    first, shear = stage.memory.commanded.since(3, 2400)
     assert (first, len(shear)) == (2400, 1600)
     assert shear[-1] == stage.memory.shear[3]
     stroke = Trajectory.line(speed=SPEED, duration=0.5, normal_force=0.5)
@@ -403,23 +404,29 @@ def test_the_trace_is_the_commanded_shear_sample_by_sample(stage: Stage, display
     np.testing.assert_allclose(shear, wanted[2400:], rtol=0, atol=4 * single)
 
 
-def test_of_a_trace_the_newer_half_is_read_and_its_samples_are_numbered() -> None:
+@pytest.mark.parametrize("count", [BLOCK, 37, 3 * LENGTH // 2])
+@pytest.mark.parametrize("name", ["commanded", "played"])
+def test_of_a_ring_the_newer_half_is_read_and_its_samples_are_numbered(
+    name: str, count: int
+) -> None:
+    """Add blocks that divide the ring, such as those of playback, and others."""
     memory = PlaybackMemory.create(2)
-    reader = PlaybackMemory(memory.handle, 2)
-    block = np.arange(BLOCK, dtype=np.float64)
-    for k in range(2 * TRACE // BLOCK + 3):
-        number = k * BLOCK + block
-        memory.write_trace(np.column_stack([number, -number]))
-    end = 2 * TRACE + 3 * BLOCK
-    assert reader.traced == end
+    writer = getattr(memory, name)
+    reader = getattr(PlaybackMemory(memory.handle, 2), name)
+    blocks = 2 * LENGTH // count + 3
+    for k in range(blocks):
+        number = k * count + np.arange(count, dtype=np.float64)
+        writer.add(np.column_stack([number, -number]))
+    end = blocks * count
+    assert reader.count == end
     for contactor, sign in enumerate((1, -1)):
-        first, shear = reader.trace(contactor, end - 100)
+        first, shear = reader.since(contactor, end - 100)
         np.testing.assert_array_equal(sign * shear, np.arange(end - 100, end))
         assert first == end - 100
-        first, shear = reader.trace(contactor, 5)
-        assert first == end - TRACE // 2
+        first, shear = reader.since(contactor, 5)
+        assert first == end - LENGTH // 2
         np.testing.assert_array_equal(sign * shear, np.arange(first, end))
-    assert [len(reader.trace(0, end + ahead)[1]) for ahead in (0, 1, 10**6)] == [0, 0, 0]
+    assert [len(reader.since(0, end + ahead)[1]) for ahead in (0, 1, 10**6)] == [0, 0, 0]
     memory.close()
 
 

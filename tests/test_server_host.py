@@ -16,17 +16,20 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tactile import messages as m
 from tactile import processes
 from tactile.errors import BusError, InputError
 from tactile.playback.shared_memory import PlaybackMemory
+from tactile.rendering.surface_picture import SurfaceSection, draw_surface
 from tactile.server import client as client_module
 from tactile.server import playing as playing_module
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, ServerConfig
 from tactile.server.effects import load_effects
 from tactile.server.host import Host
+from tactile.texture.surface import load_texture
 
 T = TypeVar("T")
 NAME = "right"
@@ -320,8 +323,37 @@ def test_who_may_not_arm_may_stop(runner: Loop, host: Host, program: Program) ->
     osc.close()
 
 
+PICTURE = m.DrawTexture(
+    texture="wood-oak", left_mm=-10.0, bottom_mm=20.0, pixel_mm=0.5, columns=30, rows=20
+)
+"""Request for a picture that is wider than high, far from the origin."""
+
+
+def test_a_picture_is_that_of_the_surface(program: Program) -> None:
+    (picture,) = program.ask(PICTURE)
+    assert isinstance(picture, m.TexturePicture)
+    texture, section = load_texture("wood-oak"), SurfaceSection(-0.01, 0.02, 0.5e-3, 30, 20)
+    drawn = draw_surface(texture, section)
+    assert picture.pixels == drawn.pixels.tobytes()
+    assert picture.lowest_um == pytest.approx(drawn.lowest * 1e6)
+    assert picture.highest_um == pytest.approx(drawn.highest * 1e6)
+    (other,) = program.ask(structs.replace(PICTURE, seed=1))
+    assert isinstance(other, m.TexturePicture)
+    assert other.pixels != picture.pixels
+
+
+def test_what_cannot_be_drawn_is_one_line(program: Program) -> None:
+    unknown = failure(program.ask(structs.replace(PICTURE, texture="wood-oka")))
+    assert unknown.code == "unknown_texture"
+    assert "wood-oak" in unknown.message
+    large = failure(program.ask(structs.replace(PICTURE, columns=513, rows=512)))
+    assert (large.code, large.field) == ("invalid_field", "columns")
+    assert "262144" in large.message
+
+
 PERMISSIONS: dict[Any, set[str]] = {
     m.ListTextures(): set(),
+    PICTURE: set(),
     m.Ping(time_us=0): set(),
     m.EStop(): set(),
     m.Subscribe(display=NAME, rate_hz=0.0): set(),

@@ -14,6 +14,7 @@ from virtual_server import virtual_world
 from tactile.display.display import load_display
 from tactile.errors import BusError
 from tactile.playback.commands import DeviceOpened
+from tactile.rendering.surface_picture import SurfaceSection
 from tactile.server import preparation_queue, texture_store
 from tactile.server.children import Child
 from tactile.server.preparation_queue import PreparationQueue
@@ -22,6 +23,7 @@ from tactile.server.texture_store import MOST_TEXTURES, TextureStore, TooManyPre
 
 HOW = DeviceOpened(sample_rate=8000.0)
 OAK = "wood-oak"
+SECTION = SurfaceSection(0.0, 0.0, 1e-3, 3, 2)
 WRITER = "tactile.server.preparing:write"
 
 
@@ -47,6 +49,13 @@ class Bench:
         number = await self.store.texture(client, (name, seed), HOW)
         self.ends.append((client, seed))
         return number
+
+
+    async def picture(self, client: int, seed: int) -> None:
+        """Have a surface drawn, and note when it was."""
+        picture = await self.queue.draw(client, OAK, seed, SECTION)
+        assert picture.pixels.shape == (SECTION.rows, SECTION.columns)
+        self.ends.append((client, seed))
 
 
 Story = Callable[[Bench], Coroutine[Any, Any, None]]
@@ -94,6 +103,39 @@ def test_clients_take_turns() -> None:
         assert bench.ends == [(1, 0), (1, 1), (2, 10), (3, 20), (1, 2), (3, 21)], (
             "the first was begun when nobody else had come"
         )
+
+    run(story)
+
+
+def test_pictures_wait_for_textures_and_clients_take_turns_with_them() -> None:
+    """A client that wants many pictures delays no texture by more than the one that is drawn."""
+
+    async def story(bench: Bench) -> None:
+        await asyncio.gather(
+            *(bench.picture(client, seed) for client, seed in [(1, 0), (1, 1), (1, 2), (2, 10)]),
+            bench.texture(1, 3),
+            bench.texture(3, 20),
+        )
+        assert bench.ends == [(1, 0), (1, 3), (3, 20), (1, 1), (2, 10), (1, 2)]
+
+    run(story)
+
+
+def test_a_picture_that_nobody_waits_for_is_not_drawn() -> None:
+    async def story(bench: Bench) -> None:
+        tasks = [asyncio.create_task(bench.picture(1, seed)) for seed in range(3)]
+        await asyncio.sleep(0)
+        tasks[1].cancel()
+        await tasks[2]
+        assert bench.ends == [(1, 0), (1, 2)]
+
+    run(story)
+
+
+def test_a_texture_that_cannot_be_drawn_fails() -> None:
+    async def story(bench: Bench) -> None:
+        with pytest.raises(BusError, match="nothing-such"):
+            await bench.queue.draw(1, "nothing-such", 0, SECTION)
 
     run(story)
 

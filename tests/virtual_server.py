@@ -102,9 +102,12 @@ class EstopProcess(Process):
 
 
 class PreparationProcess(Process):
-    """Process that prepares textures; each is prepared once for all servers."""
+    """Process that prepares and draws textures; each is prepared once for all servers."""
 
     def receive(self, order: Any) -> None:
+        if isinstance(order, preparing.DrawingRequest):
+            self.clock.after(PREPARING, lambda: self.answer(preparing.answer_to(order)))
+            return
         assert isinstance(order, preparing.PreparationRequest)
         try:
             stored = Stored(order)

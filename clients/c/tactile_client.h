@@ -214,6 +214,7 @@ typedef enum {
   TACTILE_TYPE_UNKNOWN,
   TACTILE_TYPE_WELCOME,
   TACTILE_TYPE_TEXTURES,
+  TACTILE_TYPE_TEXTURE_PICTURE,
   TACTILE_TYPE_EFFECTS,
   TACTILE_TYPE_DONE,
   TACTILE_TYPE_APPENDED,
@@ -228,6 +229,7 @@ static const char *const tactile_names_type[] = {
     "",
     "welcome",
     "textures",
+    "texture_picture",
     "effects",
     "done",
     "appended",
@@ -273,6 +275,32 @@ typedef struct {
   bool has_id;
   int64_t id;
 } tactile_list_textures;
+
+/**
+ * Ask for a picture of a texture's surface; answered by `TexturePicture`.
+ *
+ * A picture may take a second. It does not delay other requests of the client, so that answers may
+ * come in another order, and it waits for textures that are being prepared.
+ */
+typedef struct {
+  /** Identifier chosen by the client, which the answer repeats. */
+  bool has_id;
+  int64_t id;
+  /** Name of a texture, as listed in `Textures`. */
+  tactile_text texture;
+  /** Seed of the random realization, as in `Layer`. */
+  int64_t seed;
+  /** Coordinate x of the left edge of the picture [mm]. */
+  double left_mm;
+  /** Coordinate y of the lower edge [mm]. */
+  double bottom_mm;
+  /** Side of a pixel, which is the mean over its area [mm]. */
+  double pixel_mm;
+  /** Number of pixels along x. */
+  int64_t columns;
+  /** Number of pixels along y; with the columns at most 262 144 pixels in all. */
+  int64_t rows;
+} tactile_draw_texture;
 
 /** One of the textures that a client superimposes. */
 typedef struct {
@@ -722,6 +750,22 @@ typedef struct {
   tactile_texture_info_list textures;
 } tactile_textures;
 
+/** Answer to `DrawTexture`: displacement of the surface in 256 steps. */
+typedef struct {
+  /** Identifier of the request that is answered. */
+  bool has_id;
+  int64_t id;
+  /** Displacement that the value 0 stands for, at the texture's reference speed and force [µm]. */
+  double lowest_um;
+  /** Displacement that the value 255 stands for [µm]. */
+  double highest_um;
+  /**
+   * Displacement of each pixel, row by row from the largest y (a base64 string in JSON). Half a
+   * percent of the pixels is clipped at either end.
+   */
+  tactile_bytes pixels;
+} tactile_texture_picture;
+
 /** Description of an effect that can be played by name. */
 typedef struct {
   /** Name that `PlayNamedEffect` takes. */
@@ -904,7 +948,7 @@ typedef struct {
   tactile_boolean_list guarded;
 } tactile_telemetry_finger;
 
-/** Commanded shear of one contactor, sample by sample. */
+/** Shear of one contactor, sample by sample. */
 typedef struct {
   /** Index of the contactor. */
   int64_t contactor;
@@ -953,11 +997,17 @@ typedef struct {
   bool has_finger;
   tactile_telemetry_finger finger;
   /**
-   * Shear of the contactor that `Subscribe` named; null without one, and on a link that takes
-   * spectrum frames.
+   * Commanded shear of the contactor that `Subscribe` named; null without one, and on a link
+   * that takes spectrum frames.
    */
   bool has_trace;
   tactile_telemetry_trace trace;
+  /**
+   * Shear of the skin at that contactor on a simulated display, which alone knows it. Its
+   * samples are later than those of `trace`, and have numbers of their own.
+   */
+  bool has_played;
+  tactile_telemetry_trace played;
 } tactile_telemetry;
 
 /** Any message of the server: the member of `as` that `type` names. */
@@ -966,6 +1016,7 @@ typedef struct {
   union {
     tactile_welcome welcome;
     tactile_textures textures;
+    tactile_texture_picture texture_picture;
     tactile_effects effects;
     tactile_done done;
     tactile_appended appended;
@@ -1085,6 +1136,21 @@ static const tactile_field tactile_fields_list_textures[] = {
 static const tactile_shape tactile_shape_list_textures = {
     TACTILE_FORM_STRUCTURE, sizeof(tactile_list_textures), 1,
     NULL, tactile_tag_list_textures, tactile_fields_list_textures};
+
+static const char *const tactile_tag_draw_texture[] = {"draw_texture"};
+static const tactile_field tactile_fields_draw_texture[] = {
+    TACTILE_FLAGGED(draw_texture, id, integer, TACTILE_OPTIONAL, 0.0),
+    TACTILE_FIELD(draw_texture, texture, text, TACTILE_REQUIRED),
+    TACTILE_FIELD(draw_texture, seed, integer, TACTILE_OPTIONAL),
+    TACTILE_FIELD(draw_texture, left_mm, number, TACTILE_REQUIRED),
+    TACTILE_FIELD(draw_texture, bottom_mm, number, TACTILE_REQUIRED),
+    TACTILE_FIELD(draw_texture, pixel_mm, number, TACTILE_REQUIRED),
+    TACTILE_FIELD(draw_texture, columns, integer, TACTILE_REQUIRED),
+    TACTILE_FIELD(draw_texture, rows, integer, TACTILE_REQUIRED),
+};
+static const tactile_shape tactile_shape_draw_texture = {
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_draw_texture), 8,
+    NULL, tactile_tag_draw_texture, tactile_fields_draw_texture};
 
 static const tactile_field tactile_fields_layer[] = {
     TACTILE_FIELD(layer, texture, text, TACTILE_REQUIRED),
@@ -1381,6 +1447,17 @@ static const tactile_shape tactile_shape_textures = {
     TACTILE_FORM_STRUCTURE, sizeof(tactile_textures), 2,
     NULL, tactile_tag_textures, tactile_fields_textures};
 
+static const char *const tactile_tag_texture_picture[] = {"texture_picture"};
+static const tactile_field tactile_fields_texture_picture[] = {
+    TACTILE_FLAGGED(texture_picture, id, integer, TACTILE_OPTIONAL, 0.0),
+    TACTILE_FIELD(texture_picture, lowest_um, number, TACTILE_REQUIRED),
+    TACTILE_FIELD(texture_picture, highest_um, number, TACTILE_REQUIRED),
+    TACTILE_FIELD(texture_picture, pixels, bytes, TACTILE_REQUIRED),
+};
+static const tactile_shape tactile_shape_texture_picture = {
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_texture_picture), 4,
+    NULL, tactile_tag_texture_picture, tactile_fields_texture_picture};
+
 static const tactile_field tactile_fields_effect_info[] = {
     TACTILE_FIELD(effect_info, name, text, TACTILE_REQUIRED),
     TACTILE_FIELD(effect_info, description, text, TACTILE_REQUIRED),
@@ -1535,9 +1612,10 @@ static const tactile_field tactile_fields_telemetry[] = {
     TACTILE_FLAGGED(telemetry, put_out_share, number, TACTILE_OPTIONAL, 0.0),
     TACTILE_FLAGGED(telemetry, finger, telemetry_finger, TACTILE_OPTIONAL, 0.0),
     TACTILE_FLAGGED(telemetry, trace, telemetry_trace, TACTILE_OPTIONAL, 0.0),
+    TACTILE_FLAGGED(telemetry, played, telemetry_trace, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_telemetry = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_telemetry), 12,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_telemetry), 13,
     NULL, tactile_tag_telemetry, tactile_fields_telemetry};
 
 #undef TACTILE_FIELD
@@ -1704,6 +1782,11 @@ static inline size_t tactile_encode_hello(
 static inline size_t tactile_encode_list_textures(
     const tactile_list_textures *message, uint8_t *out, size_t room) {
   return tactile_encode(&tactile_shape_list_textures, message, out, room);
+}
+
+static inline size_t tactile_encode_draw_texture(
+    const tactile_draw_texture *message, uint8_t *out, size_t room) {
+  return tactile_encode(&tactile_shape_draw_texture, message, out, room);
 }
 
 static inline size_t tactile_encode_select(
@@ -2105,6 +2188,7 @@ static inline tactile_status tactile_decode(const uint8_t *data, size_t size,
   static const tactile_shape *const shapes[] = {
       &tactile_shape_welcome,
       &tactile_shape_textures,
+      &tactile_shape_texture_picture,
       &tactile_shape_effects,
       &tactile_shape_done,
       &tactile_shape_appended,

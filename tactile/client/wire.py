@@ -165,7 +165,7 @@ class FingerState:
 
 @dataclass(frozen=True, slots=True)
 class ShearTrace:
-    """Commanded shear of one contactor, sample by sample.
+    """Shear of one contactor, sample by sample.
 
     Attributes
     ----------
@@ -216,8 +216,10 @@ class Telemetry:
     finger : FingerState or None
         Loads of the finger on a display that follows it; None where they are not known.
     trace : ShearTrace or None
-        Shear of the contactor that `telemetry` was called with; None without one, and on a link
-        that takes spectrum frames.
+        Commanded shear of the contactor that `telemetry` was called with; None without one, and on
+        a link that takes spectrum frames.
+    played : ShearTrace or None
+        Shear of the skin at that contactor on a simulated display, which alone knows it.
     """
 
     display: str
@@ -232,6 +234,7 @@ class Telemetry:
     put_out_share: float | None = None
     finger: FingerState | None = None
     trace: ShearTrace | None = None
+    played: ShearTrace | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,9 @@ is counted. After a delay it continues with the block that is due by then, and f
 """
 
 import math
+from collections.abc import Callable
 
+from tactile.arrays import Floats
 from tactile.bus.base import Bus, BusStatus, DriveBlock
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
@@ -79,6 +81,9 @@ class PlaybackLoop(Mixer):
         Ring that receives all that is rendered from; None without a recorder.
     following : FingerFollowing or None
         What follows the finger, on a bus that takes samples; None for the display's own finger.
+    played : callable, optional
+        Function that returns the shear (S, N) of the skin since its last call [m], which only a
+        simulated display knows.
 
     Attributes
     ----------
@@ -107,12 +112,13 @@ class PlaybackLoop(Mixer):
         clock: Clock = MONOTONIC,
         session: SessionRing | None = None,
         following: FingerFollowing | None = None,
+        played: Callable[[], Floats] | None = None,
     ) -> None:
         rate = bus.wiring.sample_rate
         inverse = None if following is None else following.follower
         super().__init__(display, rate, bus.frames, gain=gain, worn=worn, inverse=inverse)
         self.bus, self.memory, self.clock, self.following = bus, memory, clock, following
-        self._session = session
+        self._session, self._played = session, played
         self.report = PlaybackReport(sample_rate=rate)
         self.position = self._skipped = 0
         self._unplayed_before = 0
@@ -243,7 +249,9 @@ class PlaybackLoop(Mixer):
         """Update the report after a block was played, and write it now and then."""
         report = self.report
         if isinstance(self.rendering, SamplePlayback):
-            self.memory.write_trace(self.rendering.trace)
+            self.memory.commanded.add(self.rendering.trace)
+        if self._played is not None:
+            self.memory.played.add(self._played())
         if block.contacts:
             due = self.bus.due(block.position + self.rendering.first)
             latency = due - block.contacts[-1][1].arrival

@@ -39,6 +39,7 @@ from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.silence import SilenceTimer
 from tactile.processes import pipes_of_parent, received, send
 from tactile.sensing.baseline_file import load_calibration
+from tactile.sim import SimulatedDisplay
 
 IDLE = 20e-3
 """Interval between looks at the orders while nothing plays [s]."""
@@ -433,6 +434,7 @@ def main() -> None:
     player = PlaybackLoop(
         setup.display, bus, memory,
         gain=setup.gain, worn=setup.worn, session=session, following=following,
+        played=bus.take_shear if isinstance(bus, SimulatedDisplay) else None,
     )  # fmt: skip
     pipe = Pipe(inward, outward)
     program = Program(player, Latch(setup.latch, LatchWriter.PLAYBACK), pipe.say)

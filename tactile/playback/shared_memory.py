@@ -2,8 +2,8 @@
 
 Neither side ever waits for the other. Contacts are a ring of entries, each with a number that is
 odd while the entry is written (a sequence lock), so that a reader takes only complete entries and
-knows how many it missed. The report is a single such entry, the latest. The trace is a ring of the
-commanded shear of all contactors, of which readers take the newer half only.
+knows how many it missed. The report is a single such entry, the latest. The shear is in two rings
+(`ShearRing`).
 
 On Linux the memory is a memfd that the child inherits, which leaves nothing behind; elsewhere it is
 a file in the folder for temporary files, which the server removes. A kill at any instant leaves at
@@ -28,13 +28,11 @@ from numpy.typing import NDArray
 from tactile.arrays import Floats
 from tactile.bus.base import BusCounters
 from tactile.playback.followed_finger import FollowedFinger
+from tactile.playback.shear_ring import LENGTH, ShearRing
 from tactile.tracking.finger_sample import FingerSample, rounded
 
 CONTACTS = 256
 """Length of the ring of contacts: a quarter of a second at 1 kHz [entries]."""
-TRACE = 4096
-"""Length of the ring of commanded shear, a multiple of that of a block: half a second at 8 kHz
-[samples]."""
 DETAIL = 240
 """Space for the line of detail of a report [bytes]."""
 
@@ -93,18 +91,18 @@ CONTACT_SPACE = 128
 """Distance between two entries of the ring of contacts [bytes]."""
 REPORT = struct.Struct(f"<Qd5BQ8d{len(COUNTERS)}Q{DETAIL}s")
 """Format of the report."""
-AT_HEAD, AT_REPORTED, AT_BEATS, AT_TRACED = 0, 8, 16, 24
+AT_HEAD, AT_REPORTED, AT_BEATS, AT_COMMANDED, AT_PLAYED = 0, 8, 16, 24, 32
 """Offsets of the number of contacts that were written, the number of the report, the number of
-heartbeats of the server, and the number of samples that were traced [bytes]."""
+heartbeats of the server, and the numbers of samples of commanded and played shear [bytes]."""
 AT_CONTACTS = 64
 """Offset of the ring of contacts [bytes]."""
 AT_REPORT = AT_CONTACTS + CONTACT_SPACE * CONTACTS
 """Offset of the report [bytes]."""
 AT_ARRAYS = AT_REPORT + 1024
-"""Offset of the arrays of shear and drive, of those of the finger, and of the trace [bytes]."""
+"""Offset of the arrays of shear and drive, of those of the finger, and of both rings [bytes]."""
 FOLLOWED = 5
 """Number of values that are told of each contactor's load, the attributes of `FollowedFinger`."""
-ROWS = 2 + FOLLOWED + TRACE
+ROWS = 2 + FOLLOWED + 2 * LENGTH
 """Number of values of each contactor."""
 State = Literal["disarmed", "armed", "estopped"]
 """State of playback."""
@@ -255,6 +253,10 @@ class PlaybackMemory(SharedFile):
         Last commanded shear [m].
     drive : (N,) array of float32
         Last drive [V].
+    commanded : ShearRing
+        Commanded shear, sample by sample.
+    played : ShearRing
+        Shear of the skin, which only a simulated display knows.
     lost_contacts : int
         Number of contacts that were overwritten before they were read.
     """
@@ -265,8 +267,9 @@ class PlaybackMemory(SharedFile):
         arrays = rows.reshape(-1, contactors)
         self.shear: NDArray[np.float32] = arrays[0]
         self.drive: NDArray[np.float32] = arrays[1]
-        self._finger: NDArray[np.float32] = arrays[2:-TRACE]
-        self._trace: NDArray[np.float32] = arrays[-TRACE:]
+        self._finger: NDArray[np.float32] = arrays[2 : 2 + FOLLOWED]
+        self.commanded = ShearRing(self._map, AT_COMMANDED, arrays[-2 * LENGTH : -LENGTH])
+        self.played = ShearRing(self._map, AT_PLAYED, arrays[-LENGTH:])
         self._read = self._written = self._reported = 0
         self.lost_contacts = 0
 
@@ -290,7 +293,9 @@ class PlaybackMemory(SharedFile):
 
     def close(self) -> None:
         """Release the memory, as `SharedFile.close` does."""
-        self.shear = self.drive = self._finger = self._trace = np.zeros(0, np.float32)
+        self.shear = self.drive = self._finger = np.zeros(0, np.float32)
+        self.commanded.close()
+        self.played.close()
         super().close()
 
     # Signs of life
@@ -351,49 +356,6 @@ class PlaybackMemory(SharedFile):
                 yield client, FingerSample(time, arrival, x, y, force, velocity)
             else:
                 self.lost_contacts += 1
-
-    # The trace
-
-    def write_trace(self, shear: Floats) -> None:
-        """Add a block to the trace.
-
-        Parameters
-        ----------
-        shear : (S, N) array of float
-            Commanded shear, of a number of samples that divides `TRACE` [m].
-        """
-        begin = self.traced % TRACE
-        self._trace[begin : begin + len(shear)] = shear
-        NUMBER.pack_into(self._map, AT_TRACED, self.traced + len(shear))
-
-    @property
-    def traced(self) -> int:
-        """Number of samples that were added to the trace."""
-        return int(NUMBER.unpack_from(self._map, AT_TRACED)[0])
-
-    def trace(self, contactor: int, first: int) -> tuple[int, NDArray[np.float32]]:
-        """Return the commanded shear of a contactor since a sample.
-
-        Only the newer half of the ring is returned: the rest may be overwritten meanwhile.
-
-        Parameters
-        ----------
-        contactor : int
-            Index of the contactor.
-        first : int
-            Number of the first sample.
-
-        Returns
-        -------
-        first : int
-            Number of the first sample that is returned, later if there are too many, and earlier if
-            the trace began anew.
-        shear : (S,) array of float32
-            Commanded shear [m].
-        """
-        traced = self.traced
-        first = max(min(first, traced), traced - TRACE // 2)
-        return first, self._trace[np.arange(first, traced) % TRACE, contactor]
 
     # The report
 

@@ -27,7 +27,9 @@ from tactile.messages import (
 )
 from tactile.playback import commands
 from tactile.playback.followed_finger import FollowedFinger
+from tactile.playback.shear_ring import ShearRing
 from tactile.playback.waves import ENDING, Curve
+from tactile.rendering.surface_picture import SurfaceSection
 from tactile.server.decoding import failed, hint
 from tactile.server.effects import LONGEST_EFFECT, SAMPLE_RATE
 from tactile.server.playing import Playing
@@ -214,6 +216,8 @@ class Client:
             return m.Effects(effects=tuple(e.info for e in self._host.effects.values()))
         if isinstance(command, m.EStop):
             return self._estop(command)
+        if isinstance(command, m.DrawTexture):
+            return await self._draw(command)
         assert not isinstance(command, m.ClientHello)
         playing = self._host.playing.get(command.display)
         if playing is None:
@@ -256,15 +260,36 @@ class Client:
             }
         )
 
+    def _unknown_texture(self, name: str, field: str) -> Failure | None:
+        """Return the failure that names a texture which does not exist, None if it does."""
+        known = sorted(texture.name for texture in self._host.textures())
+        if name in known:
+            return None
+        text = f"no texture {name!r}; {hint(name, known)}"
+        return failed("unknown_texture", text, field=field)
+
+    async def _draw(self, command: m.DrawTexture) -> Answer:
+        failure = self._unknown_texture(command.texture, "texture")
+        if failure is not None:
+            return failure
+        columns, rows = command.columns, command.rows
+        if columns * rows > m.MOST_PIXELS:
+            text = f"{columns} × {rows} pixels, but {m.MOST_PIXELS} is the largest number"
+            return failed("invalid_field", text, field="columns")
+        corner = command.left_mm * 1e-3, command.bottom_mm * 1e-3
+        section = SurfaceSection(*corner, command.pixel_mm * 1e-3, columns, rows)
+        picture = await self._host.draw(self.number, command.texture, command.seed, section)
+        return m.TexturePicture(
+            lowest_um=picture.lowest * 1e6,
+            highest_um=picture.highest * 1e6,
+            pixels=picture.pixels.tobytes(),
+        )
+
     async def _select(self, playing: Playing, command: m.Select) -> Answer:
-        known = {texture.name for texture in self._host.textures()}
         for k, layer in enumerate(command.layers):
-            if layer.texture not in known:
-                near = hint(layer.texture, sorted(known))
-                return Failure(
-                    code="unknown_texture", field=f"layers[{k}].texture",
-                    message=f"no texture {layer.texture!r}; {near}",
-                )  # fmt: skip
+            failure = self._unknown_texture(layer.texture, f"layers[{k}].texture")
+            if failure is not None:
+                return failure
         try:
             await playing.select(self.number, command.layers)
         except TooManyPreparationsError as error:
@@ -414,18 +439,16 @@ class Client:
         return m.Done()
 
     async def _send_telemetry(self, name: str, interval: float, contactor: int | None) -> None:
-        first = None  # sample to go on with
+        commanded, played = _Tracer(), _Tracer()
         while (playing := self._host.playing.get(name)) is not None:
-            trace = None
+            traces: tuple[m.TelemetryTrace | None, ...] = None, None
             if contactor is not None and not playing.how.carriers:
-                memory = playing.memory
-                begin, shear = memory.trace(contactor, memory.traced if first is None else first)
-                first = begin + len(shear)
-                trace = m.TelemetryTrace(
-                    contactor=contactor, sample_rate_hz=playing.how.sample_rate, first=begin,
-                    shear_um=(shear * 1e6).astype("<f4").tobytes(),
-                )  # fmt: skip
-            self.post(snapshot(playing, trace))
+                rate, memory = playing.how.sample_rate, playing.memory
+                traces = (
+                    commanded.trace(memory.commanded, contactor, rate),
+                    played.trace(memory.played, contactor, rate) if memory.played.count else None,
+                )
+            self.post(snapshot(playing, *traces))
             await asyncio.sleep(interval)
 
     async def _stats(self, playing: Playing, command: m.GetStats) -> Answer:
@@ -472,15 +495,34 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def snapshot(playing: Playing, trace: m.TelemetryTrace | None = None) -> TelemetryMessage:
+class _Tracer:
+    """Reader of a ring of shear, which takes what came since it read last."""
+
+    _next: int | None = None
+
+    def trace(self, ring: ShearRing, contactor: int, sample_rate: float) -> m.TelemetryTrace:
+        """Return the new samples of a contactor, none at first."""
+        first, shear = ring.since(contactor, ring.count if self._next is None else self._next)
+        self._next = first + len(shear)
+        samples = (shear * 1e6).astype("<f4").tobytes()
+        return m.TelemetryTrace(
+            contactor=contactor, sample_rate_hz=sample_rate, first=first, shear_um=samples
+        )
+
+
+def snapshot(
+    playing: Playing,
+    trace: m.TelemetryTrace | None = None,
+    played: m.TelemetryTrace | None = None,
+) -> TelemetryMessage:
     """Return the present state of a display.
 
     Parameters
     ----------
     playing : Playing
         The display.
-    trace : TelemetryTrace, optional
-        Shear of one contactor to send along.
+    trace, played : TelemetryTrace, optional
+        Commanded shear of one contactor, and that of the skin, to send along.
 
     Returns
     -------
@@ -501,6 +543,7 @@ def snapshot(playing: Playing, trace: m.TelemetryTrace | None = None) -> Telemet
         put_out_share=_known(r.put_out_share),
         finger=None if r.finger is None else _told(r.finger),
         trace=trace,
+        played=played,
     )
 
 

@@ -17,6 +17,7 @@ from tactile.errors import BusError, InputError
 from tactile.estop.latch import Latch, inherit_estops
 from tactile.messages import EventMessage
 from tactile.paths import state_folder
+from tactile.rendering.surface_picture import SurfacePicture, SurfaceSection
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, load_config, load_configured
 from tactile.server.effects import StoredEffect, load_effects
@@ -266,6 +267,34 @@ class Host:
             Descriptions of the textures.
         """
         return tuple(self._textures.values())
+
+    async def draw(
+        self, client: int, texture: str, seed: int, section: SurfaceSection
+    ) -> SurfacePicture:
+        """Draw the surface of a texture.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client that waits for the picture.
+        texture : str
+            Name of one of the `textures`.
+        seed : int
+            Seed of the realization.
+        section : SurfaceSection
+            What to draw of the surface.
+
+        Returns
+        -------
+        SurfacePicture
+            The picture.
+
+        Raises
+        ------
+        BusError
+            If the texture cannot be drawn.
+        """
+        return await self._preparation_queue.draw(client, texture, seed, section)
 
     def connect(self, name: str, *, roles: frozenset[m.Role]) -> "Client":
         """Add a client.

@@ -1,50 +1,93 @@
-"""Queue of textures to prepare, one after the other, in a process that nobody waits for.
+"""Queue of textures to prepare and to draw, one after the other, in a process of its own.
 
 Clients take turns, so that many textures of one client delay those of another by one at most for
-each client that waits. A texture that nobody waits for any more is skipped at its turn.
+each client that waits. Pictures wait until no texture is to be prepared. What nobody waits for any
+more is skipped at its turn.
 """
 
 import asyncio
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 from tactile.display.display import Display
 from tactile.errors import BusError
 from tactile.playback.commands import DeviceOpened
+from tactile.rendering.surface_picture import SurfacePicture, SurfaceSection
 from tactile.server import preparing
 from tactile.server.children import Child
 
 LONGEST = 40.0
-"""Maximum time to prepare a texture [s]; those of large displays take longest."""
+"""Maximum time to prepare or draw a texture [s]; preparing for large displays takes longest."""
 ENDING = 1.0
 """Time that the process may take to end [s]."""
 
 
 @dataclass
 class Job:
-    """Texture that waits or is being prepared, and the clients that wait for it.
+    """Texture that waits or is being prepared or drawn, and the clients that wait for it.
 
     Attributes
     ----------
-    request : PreparationRequest
-        What to prepare.
+    request : PreparationRequest or DrawingRequest
+        What to prepare or to draw.
     clients : set of int
         Numbers of the clients that wait.
-    answer : asyncio.Future of Preparation
-        Prepared texture.
+    answer : asyncio.Future of Preparation or Drawing
+        Answer of the process.
     """
 
-    request: preparing.PreparationRequest
+    request: preparing.PreparationRequest | preparing.DrawingRequest
     clients: set[int]
-    answer: "asyncio.Future[preparing.Preparation]"
+    answer: "asyncio.Future[Any]"
+
+
+class Turns:
+    """Jobs that wait, of which those of different clients take turns."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[int, deque[Job]] = {}
+
+    def add(self, job: Job) -> None:
+        """Add a job behind the others of its client.
+
+        Parameters
+        ----------
+        job : Job
+            Job of one client or of several, of which the first counts.
+        """
+        self._waiting.setdefault(min(job.clients, default=0), deque()).append(job)
+
+    def take(self) -> Job | None:
+        """Remove the job whose turn it is.
+
+        Returns
+        -------
+        Job or None
+            Next job, None if none waits.
+        """
+        if not self._waiting:
+            return None
+        client = next(iter(self._waiting))
+        jobs = self._waiting.pop(client)
+        job = jobs.popleft()
+        if jobs:
+            self._waiting[client] = jobs  # the client is the last in turn now
+        return job
+
+    def abandon(self) -> None:
+        """Let nobody wait for the jobs any more."""
+        for jobs in self._waiting.values():
+            for job in jobs:
+                job.clients.clear()
 
 
 class PreparationQueue:
-    """Textures to prepare in a process of its own, one after the other."""
+    """Textures to prepare and to draw in a process of its own, one after the other."""
 
     def __init__(self) -> None:
         self._child: Child | None = None
-        self._waiting: dict[int, deque[Job]] = {}
+        self._preparations, self._drawings = Turns(), Turns()
         self._job: Job | None = None
         self._timeout: asyncio.TimerHandle | None = None
         self._number = 0
@@ -89,18 +132,52 @@ class PreparationQueue:
         self._number += 1
         request = preparing.PreparationRequest(self._number, display, texture, seed, how, largest)
         job = Job(request, clients, asyncio.get_running_loop().create_future())
-        self._waiting.setdefault(min(clients, default=0), deque()).append(job)
+        self._preparations.add(job)
         self._start_next()
-        return await job.answer
+        prepared: preparing.Preparation = await job.answer
+        return prepared
+
+    async def draw(
+        self, client: int, texture: str, seed: int, section: SurfaceSection
+    ) -> SurfacePicture:
+        """Draw the surface of a texture; if cancelled, the drawing is skipped at its turn.
+
+        Parameters
+        ----------
+        client : int
+            Number of the client that waits.
+        texture : str
+            Name of the texture.
+        seed : int
+            Seed of the realization.
+        section : SurfaceSection
+            What to draw of the surface.
+
+        Returns
+        -------
+        SurfacePicture
+            The picture.
+
+        Raises
+        ------
+        BusError
+            If the texture cannot be drawn.
+        """
+        self._number += 1
+        request = preparing.DrawingRequest(self._number, texture, seed, section)
+        job = Job(request, {client}, asyncio.get_running_loop().create_future())
+        self._drawings.add(job)
+        self._start_next()
+        drawing: preparing.Drawing = await job.answer
+        assert drawing.picture is not None  # there is no failure
+        return drawing.picture
 
     def _start_next(self) -> None:
         """Pass the next texture to the process if it is idle; clients take turns."""
-        while self._job is None and self._waiting:
-            client = next(iter(self._waiting))
-            jobs = self._waiting.pop(client)
-            job = jobs.popleft()
-            if jobs:
-                self._waiting[client] = jobs  # the client is the last in turn now
+        while self._job is None:
+            job = self._preparations.take() or self._drawings.take()
+            if job is None:
+                return
             if job.answer.done():
                 continue
             if not job.clients:
@@ -116,7 +193,7 @@ class PreparationQueue:
             self._job = job
             self._timeout = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
 
-    def _receive(self, what: preparing.Preparation | None) -> None:
+    def _receive(self, what: preparing.Preparation | preparing.Drawing | None) -> None:
         """Take an answer of the process, or None if the process has ended."""
         if what is None:
             self._kill()
@@ -125,7 +202,9 @@ class PreparationQueue:
             self._finish(what.failure, what)
         self._start_next()
 
-    def _finish(self, failure: str, answer: preparing.Preparation | None = None) -> None:
+    def _finish(
+        self, failure: str, answer: preparing.Preparation | preparing.Drawing | None = None
+    ) -> None:
         """Complete the present job with an answer, or with a failure."""
         job, self._job = self._job, None
         if self._timeout is not None:
@@ -156,7 +235,7 @@ class PreparationQueue:
         if self._child is not None:
             return
 
-        def on_answer(what: preparing.Preparation | None) -> None:
+        def on_answer(what: preparing.Preparation | preparing.Drawing | None) -> None:
             if self._child is child:  # ignore a process that was given up
                 self._receive(what)
 
@@ -165,9 +244,8 @@ class PreparationQueue:
     async def close(self) -> None:
         """End the process; requests that wait fail."""
         child, self._child = self._child, None
-        for jobs in self._waiting.values():
-            for job in jobs:
-                job.clients.clear()
+        self._preparations.abandon()
+        self._drawings.abandon()
         self._finish("the server ends")
         self._start_next()
         if child is not None:

@@ -1,7 +1,7 @@
-"""Program that prepares textures, as realizing a surface takes a second that nobody may wait for.
+"""Program that prepares and draws textures, which takes a second that nobody may wait for.
 
-It answers each request with the pickle of the order for the playback process, so that the server
-only passes it on.
+It answers each request for a texture with the pickle of the order for the playback process, so that
+the server only passes it on.
 """
 
 import os
@@ -14,6 +14,7 @@ from tactile.errors import TactileError
 from tactile.playback.commands import DeviceOpened, KeepTexture, PreparedTexture
 from tactile.playback.session_orders import TextureDescription, realized
 from tactile.processes import pipes_of_parent, received, send
+from tactile.rendering.surface_picture import SurfacePicture, SurfaceSection, draw_surface
 from tactile.strength.strength import gain_at_usual_speeds
 from tactile.texture.surface import load_with_source
 
@@ -71,6 +72,47 @@ class Preparation:
     failure: str = ""
 
 
+@dataclass(frozen=True)
+class DrawingRequest:
+    """Request to draw the surface of a texture.
+
+    Attributes
+    ----------
+    number : int
+        Number of the request.
+    texture : str
+        Name of the texture.
+    seed : int
+        Seed of its realization.
+    section : SurfaceSection
+        What to draw of the surface.
+    """
+
+    number: int
+    texture: str
+    seed: int
+    section: SurfaceSection
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Drawn surface, or why there is none: the answer to a request.
+
+    Attributes
+    ----------
+    number : int
+        Number of the request.
+    picture : SurfacePicture or None
+        The picture; None after a failure.
+    failure : str
+        Reason why there is no picture; empty if there is one.
+    """
+
+    number: int
+    picture: SurfacePicture | None = None
+    failure: str = ""
+
+
 def order_number(texture: int) -> int:
     """Return the number of the order to keep a texture, which no other order has.
 
@@ -115,20 +157,39 @@ def prepare(request: PreparationRequest) -> tuple[PreparedTexture, TextureDescri
     return prepared, TextureDescription(request.number, request.seed, source, gain)
 
 
+def answer_to(request: PreparationRequest | DrawingRequest) -> Preparation | Drawing:
+    """Prepare or draw a texture.
+
+    Parameters
+    ----------
+    request : PreparationRequest or DrawingRequest
+        What to prepare or to draw.
+
+    Returns
+    -------
+    Preparation or Drawing
+        Answer, with the reason if the texture cannot be used.
+    """
+    number = request.number
+    try:
+        if isinstance(request, DrawingRequest):
+            texture, _ = load_with_source(request.texture)
+            return Drawing(number, draw_surface(texture, request.section, seed=request.seed))
+        prepared, description = prepare(request)
+    except (TactileError, OSError) as error:
+        answer = Drawing if isinstance(request, DrawingRequest) else Preparation
+        return answer(number, failure=str(error))
+    order = order_number(number), KeepTexture(number, prepared)
+    return Preparation(number, pickle.dumps(order, protocol=5), description)
+
+
 def main() -> None:
     """Serve requests from standard input until it ends."""
     inward, outward = pipes_of_parent()
     with suppress(AttributeError, OSError):
         os.nice(NICE)
-    request: PreparationRequest
     for request in received(inward):
         try:
-            texture, description = prepare(request)
-            order = order_number(request.number), KeepTexture(request.number, texture)
-            answer = Preparation(request.number, pickle.dumps(order, protocol=5), description)
-        except (TactileError, OSError) as error:
-            answer = Preparation(request.number, failure=str(error))
-        try:
-            send(outward, answer)
+            send(outward, answer_to(request))
         except OSError:
             return

@@ -1,4 +1,7 @@
-"""Requests of a client, as every transport handles them: in order, e-stops first."""
+"""Requests of a client, as every transport handles them: in order, e-stops first.
+
+Pictures are drawn beside the others, which must not wait for them.
+"""
 
 import asyncio
 import logging
@@ -11,6 +14,7 @@ from tactile.messages import (
     Answer,
     Command,
     DisarmDisplay,
+    DrawTexture,
     EStop,
     Failure,
     Reply,
@@ -60,10 +64,11 @@ class Requests:
         self._ended = False
         self._on_failure = on_failure
         self._urgent: set[asyncio.Task[None]] = set()
+        self._drawings: set[asyncio.Task[None]] = set()
         self._worker = start_task(self._work(), on_failure)
 
     def offer(self, command: Command) -> Failure | None:
-        """Queue a request; an e-stop is carried out at once.
+        """Queue a request; an e-stop and a drawing are begun at once.
 
         Parameters
         ----------
@@ -75,15 +80,22 @@ class Requests:
         Failure or None
             A `Failure` if too many requests are queued.
         """
-        queue = self._urgent if isinstance(command, EStop) else self._waiting
-        if len(queue) >= MOST_REQUESTS:
+        tasks = self._tasks_beside(command)
+        waiting = self._waiting if tasks is None else tasks
+        if len(waiting) >= MOST_REQUESTS:
             return failed("busy", f"{MOST_REQUESTS} requests wait", to=id_of(command))
-        if isinstance(command, EStop):
-            start_task(self._carry_out(command), self._on_failure, among=self._urgent)
+        if tasks is not None:
+            start_task(self._carry_out(command), self._on_failure, among=tasks)
         else:
             self._waiting.append(command)
             self._arrived.set()
         return None
+
+    def _tasks_beside(self, command: Command) -> set[asyncio.Task[None]] | None:
+        """Return the tasks of requests like this one, None for a request that waits its turn."""
+        if isinstance(command, EStop):
+            return self._urgent
+        return self._drawings if isinstance(command, DrawTexture) else None
 
     async def _work(self) -> None:
         while not self._ended:  # ends the loop even if a request swallowed the cancellation
@@ -114,7 +126,8 @@ class Requests:
         arm for a client that has left nor delay a disarm. What has not ended by then is abandoned.
         """
         self._ended = True
-        self._worker.cancel()
+        for task in (self._worker, *self._drawings):
+            task.cancel()
         self._arrived.set()
         disarms = [command for command in self._waiting if isinstance(command, DisarmDisplay)]
         tasks = {*self._urgent, start_task(self._carry_out_each(disarms))}

@@ -94,6 +94,35 @@ export interface ListTextures {
   id?: number | null;
 }
 
+/**
+ * Ask for a picture of a texture's surface; answered by `TexturePicture`.
+ *
+ * A picture may take a second. It does not delay other requests of the client, so that answers may
+ * come in another order, and it waits for textures that are being prepared.
+ */
+export interface DrawTexture {
+  type: "draw_texture";
+  /** Identifier chosen by the client, which the answer repeats. */
+  id?: number | null;
+  /** Name of a texture, as listed in `Textures`. */
+  texture: string;
+  /**
+   * Seed of the random realization, as in `Layer`.
+   * @default 0
+   */
+  seed?: number;
+  /** Coordinate x of the left edge of the picture [mm]. */
+  left_mm: number;
+  /** Coordinate y of the lower edge [mm]. */
+  bottom_mm: number;
+  /** Side of a pixel, which is the mean over its area [mm]. */
+  pixel_mm: number;
+  /** Number of pixels along x. */
+  columns: number;
+  /** Number of pixels along y; with the columns at most 262 144 pixels in all. */
+  rows: number;
+}
+
 /** One of the textures that a client superimposes. */
 export interface Layer {
   /** Name of a texture, as listed in `Textures`. */
@@ -501,6 +530,22 @@ export interface Textures {
   textures: TextureInfo[];
 }
 
+/** Answer to `DrawTexture`: displacement of the surface in 256 steps. */
+export interface TexturePicture {
+  type: "texture_picture";
+  /** Identifier of the request that is answered. */
+  id?: number | null;
+  /** Displacement that the value 0 stands for, at the texture's reference speed and force [µm]. */
+  lowest_um: number;
+  /** Displacement that the value 255 stands for [µm]. */
+  highest_um: number;
+  /**
+   * Displacement of each pixel, row by row from the largest y (a base64 string in JSON). Half a
+   * percent of the pixels is clipped at either end.
+   */
+  pixels: Uint8Array;
+}
+
 /** Description of an effect that can be played by name. */
 export interface EffectInfo {
   /** Name that `PlayNamedEffect` takes. */
@@ -675,7 +720,7 @@ export interface TelemetryFinger {
   guarded: boolean[];
 }
 
-/** Commanded shear of one contactor, sample by sample. */
+/** Shear of one contactor, sample by sample. */
 export interface TelemetryTrace {
   /** Index of the contactor. */
   contactor: number;
@@ -722,16 +767,22 @@ export interface TelemetryMessage {
   /** Loads of the finger on a display that follows it; null where they are not known. */
   finger?: TelemetryFinger | null;
   /**
-   * Shear of the contactor that `Subscribe` named; null without one, and on a link that takes
-   * spectrum frames.
+   * Commanded shear of the contactor that `Subscribe` named; null without one, and on a link
+   * that takes spectrum frames.
    */
   trace?: TelemetryTrace | null;
+  /**
+   * Shear of the skin at that contactor on a simulated display, which alone knows it. Its
+   * samples are later than those of `trace`, and have numbers of their own.
+   */
+  played?: TelemetryTrace | null;
 }
 
 /** Any message of a client. */
 export type Command =
   | ClientHello
   | ListTextures
+  | DrawTexture
   | Select
   | Contact
   | Resume
@@ -753,6 +804,7 @@ export type Command =
 export type Answer =
   | Welcome
   | Textures
+  | TexturePicture
   | Effects
   | Done
   | AppendedReply

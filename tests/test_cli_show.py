@@ -1,10 +1,15 @@
 """``show`` and ``sheet``: what they print and write, and that a mistake is one line."""
 
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
 from functools import cache
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from cli_rig import Command, assert_mistake
@@ -22,6 +27,9 @@ from tactile.show.still import (
 )
 from tactile.show.views import View, view_texture
 from tactile.texture.surface import load_texture
+
+PATIENCE = 120.0
+"""Longest wait for a program [s]."""
 
 
 @cache
@@ -175,6 +183,10 @@ def test_a_sheet_of_one_category_is_written(command: Command) -> None:
         (["show", "wood-oka"], "no texture 'wood-oka'; did you mean 'wood-oak'?"),
         (["show", "wood-oak", "--display", "reference-23"], "did you mean 'reference-24'?"),
         (["show", "wood-oak", "--speed-mm-s", "0"], "--speed-mm-s 0: must be between 5 and 1000"),
+        (["show", "wood-oak", "--live", "--json"], "--json cannot be used with --live"),
+        (["show", "wood-oka", "--live"], "no texture 'wood-oka'; did you mean 'wood-oak'?"),
+        (["show", "wood-oak", "--live", "--display", "reference-23"],
+         "did you mean 'reference-24'?"),
         (["show", "wood-oak", "--plot", "a.gif"], "a.gif: must end in .png, .svg, .pdf"),
         (["show", "wood-oak", "--plot", "no/a.png"], "no/a.png: No such file or directory"),
         (["sheet", "no/a.png"], "no/a.png: No such file or directory"),
@@ -213,3 +225,29 @@ def test_in_a_terminal_it_needs_no_matplotlib(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert command("show", "wood-oak").code == 0
+
+
+@pytest.mark.ci
+def test_live_opens_the_page_with_the_texture(tmp_path: Path) -> None:
+    """Run the command as a user does, with a browser that notes the address that it is to open."""
+    opened = tmp_path / "opened"
+    browser = tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\necho "$1" > "{opened}.part" && mv "{opened}.part" "{opened}"\n')
+    browser.chmod(0o700)
+    folders = {"STATE_DIRECTORY": str(tmp_path / "state"), "RUNTIME_DIRECTORY": str(tmp_path)}
+    with subprocess.Popen(
+        [sys.executable, "-m", "tactile", "show", "wood-oak", "--live"],
+        stdout=subprocess.PIPE, text=True, env=os.environ | folders | {"BROWSER": str(browser)},
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        url = line.split()[0]
+        assert "shows wood-oak on a simulated display" in line
+        assert url.endswith("/#texture=wood-oak")
+        assert 'data-testid="pad"' in httpx.get(url).text
+        end = time.monotonic() + PATIENCE
+        while not opened.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        assert opened.read_text("utf-8") == f"{url}\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0

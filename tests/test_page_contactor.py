@@ -347,16 +347,26 @@ class SoundingHands(Hands):
         wanted = [c.contactor for _, c in self.log if isinstance(c, Subscribe)]
         return wanted[-1] if wanted else None
 
-    def send(self, first: int, shear_um: NDArray[np.float64]) -> None:
-        trace = TelemetryTrace(
-            contactor=self.contactor or 0, sample_rate_hz=RATE, first=first,
-            shear_um=shear_um.astype("<f4").tobytes(),
-        )  # fmt: skip
+    def send(
+        self,
+        first: int,
+        shear_um: NDArray[np.float64],
+        played_um: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Send samples of commanded shear and, if there are any, of that of the skin."""
+
+        def trace(samples: NDArray[np.float64]) -> TelemetryTrace:
+            return TelemetryTrace(
+                contactor=self.contactor or 0, sample_rate_hz=RATE, first=first,
+                shear_um=samples.astype("<f4").tobytes(),
+            )  # fmt: skip
+
         self.clients[-1].outbox.put_nowait(
             TelemetryMessage(
                 display="right", time_us=first, state="armed", position_mm=(0.0, 0.0),
                 velocity_mm_s=(0.0, 0.0), normal_force_n=0.5, shear_um=(0.0, 0.0),
-                drive_v=(0.0, 0.0), counters={}, trace=trace,
+                drive_v=(0.0, 0.0), counters={}, trace=trace(shear_um),
+                played=None if played_um is None else trace(played_um),
             )
         )  # fmt: skip
 
@@ -382,6 +392,22 @@ async def test_the_strongest_band_is_a_sentence(browser: "Browser") -> None:
                     first += 4096
                     await asyncio.sleep(0.1)
         await visitor.page.get_by_text("Nothing plays").wait_for()  # no more samples come
+        assert visitor.mistakes == []
+
+
+async def test_what_the_skin_does_is_shown_beside_what_is_commanded(browser: "Browser") -> None:
+    """Shear of the skin with half the commanded amplitude is 6 dB lower."""
+    hands = SoundingHands()
+    async with serving(hands=hands) as (there, _), visiting(browser, there.page) as visitor:
+        await until(lambda: hands.contactor == 0)
+        commanded = 10 * float(1e6 * detection_threshold(np.array([250.0]))[0])
+        samples, first, label = sinusoid(250.0, commanded), 0, ""
+        async with asyncio.timeout(PATIENCE_S):
+            while "20 dB above threshold at 250 Hz, 14 dB on the skin" not in label:
+                hands.send(first, samples, samples / 2)
+                first += 4096
+                await asyncio.sleep(0.1)
+                label = await visitor.at("spectrum").get_attribute("aria-label") or ""
         assert visitor.mistakes == []
 
 

@@ -27,6 +27,7 @@ from tactile.playback.waves import Curve
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.renderer import render
+from tactile.sim import SimulatedDisplay
 from tactile.texture.surface import load_texture
 from tactile.tracking.finger_sample import FingerSample
 from tactile.tracking.tracker import ContactTracker
@@ -402,6 +403,28 @@ def test_the_trace_is_the_commanded_shear_sample_by_sample(stage: Stage, display
     wanted = render(display, load_texture("wood-oak"), stroke).shear[:, 3]
     single = 2**-24 * np.abs(wanted).max()  # rounding
     np.testing.assert_allclose(shear, wanted[2400:], rtol=0, atol=4 * single)
+
+
+def test_what_the_simulated_skin_does_is_what_is_commanded(
+    display: Display, oak: RealizedLayer
+) -> None:
+    """Compare both rings after the delay at which they agree best, of less than 10 ms."""
+    memory = PlaybackMemory.create(len(display.contactors))
+    bus = SimulatedDisplay(display, RATE)
+    clock = ModelClock()
+    player = PlaybackLoop(display, bus, memory, clock=clock, played=bus.take_shear)
+    player.keep(1, oak)
+    player.voice(ME).state.layers = ((1, 1.0),)
+    player.arm()
+    Stage(clock, player, bus, memory).slide(0.5)
+    for contactor in (0, 13):
+        commanded = memory.commanded.since(contactor, 0)[1].astype(np.float64)
+        played = memory.played.since(contactor, 0)[1].astype(np.float64)
+        inner = commanded[100 : len(commanded) - 100]
+        error = min(np.std(played[100 + lag : 100 + lag + len(inner)] - inner) for lag in range(80))
+        assert error < 0.01 * np.std(inner)
+    bus.close()
+    memory.close()
 
 
 @pytest.mark.parametrize("count", [BLOCK, 37, 3 * LENGTH // 2])

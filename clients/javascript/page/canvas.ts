@@ -8,6 +8,11 @@ export function wantsStillness(): boolean {
   return still.matches;
 }
 
+/** Return whether the page is dark. */
+export function isDark(): boolean {
+  return dark.matches;
+}
+
 /** Colors that are drawn with. style.css defines them, for light and dark. */
 export interface Colors {
   text: string;

@@ -1,7 +1,8 @@
 import { traceSamples } from "../client/index.js";
-import type { Display, TelemetryMessage } from "../client/index.js";
+import type { Display, TelemetryMessage, TelemetryTrace } from "../client/index.js";
 import type { ContactorChoice } from "./contactor_choice.js";
 import { ContactorSpectrum } from "./contactor_spectrum.js";
+import type { BandShear } from "./contactor_spectrum.js";
 import { byId, element, setText } from "./dom.js";
 import { Listening } from "./listening.js";
 import type { Session } from "./session.js";
@@ -19,7 +20,7 @@ const DESCRIBE_MS = 500;
 /** The bands of no spectrum. */
 const NOTHING: readonly [] = [];
 
-/** Shows the spectrum of the commanded shear of one contactor, and lets it be heard. */
+/** Shows the spectra of commanded and played shear of one contactor, and lets it be heard. */
 export class ContactorPanel {
   private readonly view = new SpectrumView(byId<HTMLCanvasElement>("spectrum"));
   private readonly select = byId<HTMLSelectElement>("contactor");
@@ -27,10 +28,9 @@ export class ContactorPanel {
   private display: Display | undefined;
   private places_mm: readonly (readonly [number, number])[] = [];
   private threshold = new Threshold([]);
-  private spectrum: ContactorSpectrum | undefined;
-  private sample_rate_hz = 0;
+  private readonly commanded = new TracedSpectrum();
+  private readonly played = new TracedSpectrum();
   private updated_ms = 0;
-  private received_ms = 0;
   private unsubscribe = () => {};
 
   constructor(private readonly session: Session, private readonly choice: ContactorChoice) {
@@ -47,7 +47,8 @@ export class ContactorPanel {
     if (display !== this.display) this.showDisplay(display);
     const { contactor } = this.choice;
     this.select.selectedIndex = contactor;
-    this.spectrum = undefined;
+    this.commanded.startAnew(this.threshold);
+    this.played.startAnew(this.threshold);
     this.listening.startAnew();
     this.unsubscribe();
     const take = (telemetry: TelemetryMessage) => this.take(telemetry);
@@ -63,38 +64,86 @@ export class ContactorPanel {
     this.threshold = new Threshold(display?.info.threshold_um ?? []);
   }
 
-  private take({ trace }: TelemetryMessage): void {
+  private take({ trace, played }: TelemetryMessage): void {
+    if (played?.contactor === this.choice.contactor) this.played.take(played);
     if (!trace?.shear_um.length || trace.contactor !== this.choice.contactor) return;
-    this.received_ms = performance.now();
-    if (!this.spectrum || trace.sample_rate_hz !== this.sample_rate_hz) {
-      this.sample_rate_hz = trace.sample_rate_hz;
-      this.spectrum = new ContactorSpectrum(trace.sample_rate_hz, this.threshold);
-    }
-    const samples = traceSamples(trace);
-    this.spectrum.take(trace.first, samples);
+    const samples = this.commanded.take(trace);
     this.listening.take(trace.sample_rate_hz, trace.first, samples);
   }
 
   private update(now_ms: number): void {
-    if (now_ms - this.received_ms > PATIENCE_MS) this.spectrum?.clear();
-    else this.spectrum?.update((now_ms - this.updated_ms) / 1000);
+    const passed_s = (now_ms - this.updated_ms) / 1000;
     this.updated_ms = now_ms;
-    this.view.show(this.spectrum?.bands ?? NOTHING, this.threshold);
+    const [commanded, played] = [this.commanded, this.played].map((spectrum) =>
+      spectrum.update(now_ms, passed_s));
+    this.view.show(commanded ?? NOTHING, played ?? NOTHING, this.threshold);
   }
 
   private describe(): void {
     const sentence = this.sentence();
     setText(byId("spectrum-summary"), sentence);
     const { contactor } = this.choice;
-    const label = texts.spectrum(contactor, this.places_mm[contactor] ?? [0, 0], sentence);
+    const place_mm = this.places_mm[contactor] ?? [0, 0];
+    const label = texts.spectrum(contactor, place_mm, sentence + this.onSkin());
     byId("spectrum").setAttribute("aria-label", label);
   }
 
   private sentence(): string {
-    const strongest = this.spectrum?.strongest;
+    const { strongest } = this.commanded;
     if (this.display?.info.waveforms === false) return texts.noTrace;
     if (!strongest) return texts.nothingPlays;
     const { level_db, band } = strongest;
     return level_db > 0 ? texts.strongest(level_db, band.nominal_hz) : texts.belowThreshold;
+  }
+
+  /** Return what the lines of the drawing say of the strongest band. */
+  private onSkin(): string {
+    const { strongest } = this.commanded;
+    const played = this.played.bands.find(({ band }) => band === strongest?.band);
+    return played ? texts.onSkin(played.level_db) : "";
+  }
+}
+
+/** Spectrum of a trace that may end, and begin again with another sample rate. */
+class TracedSpectrum {
+  private threshold = new Threshold([]);
+  private spectrum: ContactorSpectrum | undefined;
+  private sample_rate_hz = 0;
+  private received_ms = 0;
+
+  /** Bands of the spectrum; none while nothing plays. */
+  get bands(): readonly BandShear[] {
+    return this.spectrum?.bands ?? NOTHING;
+  }
+
+  /** Band with the highest sensation level; undefined while nothing plays. */
+  get strongest(): BandShear | undefined {
+    return this.spectrum?.strongest;
+  }
+
+  /** Forget the samples, as those of another contactor follow. */
+  startAnew(threshold: Threshold): void {
+    this.threshold = threshold;
+    this.spectrum = undefined;
+  }
+
+  /** Take the samples of a message, and return them [µm]. */
+  take(trace: TelemetryTrace): Float32Array {
+    const samples = traceSamples(trace);
+    if (samples.length === 0) return samples;
+    this.received_ms = performance.now();
+    if (!this.spectrum || trace.sample_rate_hz !== this.sample_rate_hz) {
+      this.sample_rate_hz = trace.sample_rate_hz;
+      this.spectrum = new ContactorSpectrum(trace.sample_rate_hz, this.threshold);
+    }
+    this.spectrum.take(trace.first, samples);
+    return samples;
+  }
+
+  /** Compute the bands as of a time, and return them. */
+  update(now_ms: number, passed_s: number): readonly BandShear[] {
+    if (now_ms - this.received_ms > PATIENCE_MS) this.spectrum?.clear();
+    else this.spectrum?.update(passed_s);
+    return this.bands;
   }
 }

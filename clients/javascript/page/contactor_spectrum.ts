@@ -8,6 +8,10 @@ import { TraceWindow } from "./trace_window.js";
 const LONGEST_S = 0.55;
 /** Time in which what was there before falls to 1/e [s]. */
 const SMOOTHING_S = 0.25;
+/** Number of samples of which a spectrum is computed at most, whatever the sample rate. */
+const MOST_SAMPLES = 2 ** 16;
+/** Largest shear that is taken [µm]: one that is beyond all displays would be seen for minutes. */
+const MOST_UM = 1000;
 
 /** Shear of a third octave. */
 export interface BandShear {
@@ -40,7 +44,8 @@ export class ContactorSpectrum {
   private lines: Float64Array | undefined;
 
   constructor(sample_rate_hz: number, private readonly threshold: Threshold) {
-    const length = 2 ** Math.floor(Math.log2(LONGEST_S * sample_rate_hz));
+    const wanted = Math.min(Math.max(LONGEST_S * sample_rate_hz, 2), MOST_SAMPLES);
+    const length = 2 ** Math.floor(Math.log2(wanted));
     this.window = new TraceWindow(length);
     this.spectrum = new LineSpectrum(length);
     this.resolution_hz = sample_rate_hz / length;
@@ -54,7 +59,7 @@ export class ContactorSpectrum {
 
   /** Take samples [µm], of which the first has a number. */
   take(first: number, shear_um: Float32Array): void {
-    this.window.take(first, shear_um);
+    this.window.take(first, shear_um.map(usable));
   }
 
   /**
@@ -89,4 +94,9 @@ export class ContactorSpectrum {
     const relative = bandPower(lines, this.resolution_hz, band, weight);
     return { band, peak_um: Math.sqrt(2 * power), level_db: 10 * Math.log10(2 * relative) };
   }
+}
+
+/** Return a shear [µm] within limits, and 0 for what is no number: it would stay in the spectrum. */
+function usable(shear_um: number): number {
+  return Math.min(Math.max(shear_um, -MOST_UM), MOST_UM) || 0;
 }

@@ -26,6 +26,8 @@ class TracePoint {
 export class Finger {
   /** Emitted when the finger touches or lifts. */
   readonly changed = new Signal<Finger>();
+  /** Emitted at each position, before the contact is sent. */
+  readonly moved = new Signal<Finger>();
   touching = false;
   x_mm = 0;
   y_mm = 0;
@@ -51,6 +53,7 @@ export class Finger {
       this.display = this.session.display;
     }
     [this.x_mm, this.y_mm, this.force_n] = [x_mm, y_mm, pressure * FULL_FORCE_N];
+    this.moved.emit(this);
     // `pointermove` repeats what `pointerrawupdate` has reported, with the same times.
     const isNew = this.send(time_ms);
     if (isNew) this.addPoint(time_ms);

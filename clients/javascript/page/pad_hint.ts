@@ -1,14 +1,16 @@
 import { byId, showText } from "./dom.js";
 import type { Finger } from "./finger.js";
+import type { Selection } from "./selection.js";
 import type { Session } from "./session.js";
 import { texts } from "./texts.js";
 
 /** Show on the pad what is missing for something to be felt. */
-export function showPadHint(session: Session, finger: Finger, selected: () => string): void {
+export function showPadHint(session: Session, finger: Finger, selection: Selection): void {
   const hint = byId("pad-hint");
-  const show = () => showText(hint, padHint(session, finger, selected()));
+  const show = () => showText(hint, padHint(session, finger, selection.halves.left));
   session.changed.on(show);
   finger.changed.on(show);
+  selection.changed.on(show);
   show();
 }
 

@@ -2,6 +2,8 @@
 const DECAY_MS = 3000;
 /** Smallest maximum [µm]: less is not felt, and would only be drawn as restlessness. */
 const FLOOR_UM = 2;
+/** Largest maximum [µm]: one that is beyond all displays would be remembered for minutes. */
+const MOST_UM = 1000;
 const STEPS = [1, 2, 5];
 
 /** Scale at which shears are drawn: as large as fits beside the neighbor, and a round number. */
@@ -20,7 +22,8 @@ export class ShearScale {
   take(magnitude_um: number, time_ms: number): void {
     const decay = Math.exp((this.latest_ms - time_ms) / DECAY_MS);
     this.latest_ms = time_ms;
-    this.most_um = Math.max(magnitude_um, this.most_um * decay, FLOOR_UM);
+    const taken_um = Math.min(magnitude_um, MOST_UM);
+    this.most_um = Math.max(taken_um, this.most_um * decay, FLOOR_UM);
     const wanted = roundUp(this.most_um / this.room_mm);
     // The scale grows at once, but shrinks only well below the next one: it should not flicker.
     if (wanted > this.um_per_mm || 1.6 * this.most_um < this.um_per_mm * this.room_mm) {

@@ -110,7 +110,7 @@ export class Speaker {
   }
 }
 
-/** Return a shear [µm] as a sample −1 to 1; peaks beyond full scale are clipped. */
+/** Return a shear [µm] as a sample −1 to 1; peaks are clipped, and what is no number is silent. */
 function fullScale(shear_um: number): number {
-  return Math.min(Math.max(shear_um / FULL_SCALE_UM, -1), 1);
+  return Math.min(Math.max(shear_um / FULL_SCALE_UM, -1), 1) || 0;
 }

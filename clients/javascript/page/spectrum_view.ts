@@ -24,10 +24,11 @@ interface Plot {
   readonly bottom: number;
 }
 
-/** Draws third octaves of a shear, and the detection threshold, on logarithmic axes. */
+/** Draws third octaves of shears, and the detection threshold, on logarithmic axes. */
 export class SpectrumView {
   private readonly drawing: Drawing;
   private bands: readonly BandShear[] = [];
+  private played: readonly BandShear[] = [];
   private threshold = new Threshold([]);
   private isStale = true;
   private plot: Plot = { left: 0, right: 0, top: 0, bottom: 0 };
@@ -38,10 +39,14 @@ export class SpectrumView {
     onEachFrame(() => this.draw());
   }
 
-  /** Show bands, none for nothing, and a threshold. */
-  show(bands: readonly BandShear[], threshold: Threshold): void {
-    if (bands === this.bands && threshold === this.threshold) return;
-    [this.bands, this.threshold, this.isStale] = [bands, threshold, true];
+  /** Show the bands of commanded and played shear, none for nothing, and a threshold. */
+  show(
+    bands: readonly BandShear[],
+    played: readonly BandShear[],
+    threshold: Threshold,
+  ): void {
+    if (bands === this.bands && played === this.played && threshold === this.threshold) return;
+    [this.bands, this.played, this.threshold, this.isStale] = [bands, played, threshold, true];
   }
 
   private draw(): void {
@@ -54,9 +59,11 @@ export class SpectrumView {
     this.fit(parseFloat(fontSize));
     this.drawGrid();
     this.drawBars();
+    this.drawPlayed();
     this.drawThreshold();
     const { right, top } = this.plot;
-    this.drawName(texts.bars, right - GAP, top + 1.5 * parseFloat(fontSize), "right");
+    const name = this.played.length ? texts.barsAndPlayed : texts.bars;
+    this.drawName(name, right - GAP, top + 1.5 * parseFloat(fontSize), "right");
   }
 
   /** Leave space for the texts beside the axes. */
@@ -110,6 +117,20 @@ export class SpectrumView {
       if (y < bottom) context.fillRect(from, y, to - from, bottom - y);
     }
     context.globalAlpha = 1;
+  }
+
+  /** Draw a line across each bar, at the top of which it is if what is played is commanded. */
+  private drawPlayed(): void {
+    const { context, colors } = this.drawing;
+    const { bottom, top } = this.plot;
+    context.beginPath();
+    for (const { band, peak_um } of this.played) {
+      const y = Math.max(this.y(peak_um), top);
+      if (y < bottom) line(context, this.x(band.from_hz), y, this.x(band.to_hz), y);
+    }
+    context.strokeStyle = colors.text;
+    context.lineWidth = 2;
+    context.stroke();
   }
 
   private drawThreshold(): void {

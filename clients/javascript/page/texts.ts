@@ -38,6 +38,7 @@ export const labels = {
   fullScale: `At 100 %, ${FULL_SCALE_UM} µm are full scale; peaks beyond are clipped.`,
   textures: "Textures",
   search: "Search textures",
+  beside: "Right half",
   gain: "Gain",
   health: "Health",
   moreCounters: "More counters",
@@ -146,6 +147,9 @@ export const texts = {
   padSelect: "Select a texture, then stroke here.",
   fingerOfAnother:
     "Another program has the finger. What you do here counts when that program has lifted it.",
+  surfaceScale: (texture: string, lowest_um: number, highest_um: number) =>
+    `${texture}: dark ${signed(lowest_um)} µm, light ${signed(highest_um)} µm`,
+  noPicture: (message: string) => `The surface could not be drawn: ${sentence(message)}`,
   lifted: "Not touching",
   finger: (x_mm: number, y_mm: number, speed_mm_s: number, force_n: number) =>
     `x ${x_mm.toFixed(1)} mm, y ${y_mm.toFixed(1)} mm · ${speed_mm_s.toFixed(0)} mm/s · ` +
@@ -176,13 +180,15 @@ export const texts = {
   shearTick: (shear_um: number) => (shear_um === 100 ? "100 µm" : String(shear_um)),
   threshold: "Detection threshold",
   bars: "Peak per third octave",
+  barsAndPlayed: "Bars: commanded. Lines: on the skin",
   strongest: (level_db: number, frequency_hz: number) =>
     `Strongest: ${level_db.toFixed(0)} dB above threshold at ${frequency_hz} Hz`,
+  onSkin: (level_db: number) => `, ${level_db.toFixed(0)} dB on the skin`,
   belowThreshold: "Below threshold everywhere",
   nothingPlays: "Nothing plays",
   noTrace: "This link takes spectra: there are no samples to show, or to listen to.",
   spectrum: (contactor: number, [x_mm, y_mm]: readonly [number, number], summary: string) =>
-    `Commanded shear of contactor ${contactor} at x ${x_mm.toFixed(1)} mm, ` +
+    `Shear of contactor ${contactor} at x ${x_mm.toFixed(1)} mm, ` +
     `y ${y_mm.toFixed(1)} mm in third octaves from 10 Hz to 1 kHz, and the detection threshold. ${sentence(summary)}`,
   listenFailed: (message: string) => `The loudspeaker cannot be used: ${sentence(message)}`,
 
@@ -192,7 +198,9 @@ export const texts = {
   noTextures: (message: string) =>
     `The list of textures could not be read: ${sentence(message)} Reload this page to try again.`,
   nothingSelected: "No texture is selected.",
-  selected: (name: string) => `Selected: ${name}`,
+  selected: (left: string, right: string) =>
+    right ? `Left: ${left}. Right: ${right}` : `Selected: ${left}`,
+  sameBeside: "The same texture",
   preparing: (name: string) => `Preparing ${name} …`,
   selectFailed: (name: string, message: string) =>
     `“${name}” cannot be played: ${sentence(message)} Select it again, or another texture.`,
@@ -236,6 +244,11 @@ export const texts = {
   event: (display: string, kind: string, detail: string) =>
     `${display}: ${eventKinds[kind] ?? kind}${detail ? ` (${detail})` : ""}`,
 };
+
+/** Return a number with one decimal and, below zero, with a minus sign instead of a hyphen. */
+function signed(value: number): string {
+  return value.toFixed(1).replace("-", "−");
+}
 
 /** Return a text of the server as a sentence: with a capital letter and a full stop. */
 function sentence(text: string): string {

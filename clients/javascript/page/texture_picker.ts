@@ -1,8 +1,9 @@
 import type { TextureInfo } from "../client/index.js";
 import { byId, element, setText, showText } from "./dom.js";
-import { Newest } from "./newest.js";
+import type { Selection } from "./selection.js";
 import type { Session } from "./session.js";
 import { texts } from "./texts.js";
+import { TextureThumbnails } from "./texture_thumbnails.js";
 
 /** A texture in the list, with what the search looks at. */
 interface Option {
@@ -18,28 +19,22 @@ export class TexturePicker {
   private readonly empty = byId("textures-empty");
   private readonly status = byId("selected");
   private readonly problem = byId("select-problem");
-  private readonly selection = new Newest<string>(
-    (name) => this.select(name),
-    (name, error) => this.settle(name, error),
-  );
+  private readonly beside = byId<HTMLSelectElement>("beside");
+  private readonly thumbnails: TextureThumbnails;
   private options: Option[] = [];
   private active: Option | undefined;
-  /** Name of the texture that the display plays, by the name of the display. */
-  private readonly selected = new Map<string, string>();
 
-  constructor(private readonly session: Session) {
+  constructor(private readonly session: Session, private readonly selection: Selection) {
+    this.thumbnails = new TextureThumbnails(session, this.list);
     this.search.addEventListener("input", () => this.filter());
+    this.beside.addEventListener("change", () => this.choose(this.beside.value, true));
     for (const target of [this.search, this.list]) {
       target.addEventListener("keydown", (event) => this.press(event));
     }
     session.displayChanged.on(() => void this.read());
-    session.reopened.on(() => this.selected.clear()); // the server forgot it with the connection
     session.event.on(({ kind }) => kind === "textures" && void this.read());
-  }
-
-  /** Name of the selected texture; empty if none is. */
-  get selectedName(): string {
-    return this.selected.get(this.session.display?.name ?? "") ?? "";
+    selection.changed.on(() => this.showStatus());
+    selection.settled.on(({ name, error }) => this.settle(name, error));
   }
 
   private async read(): Promise<void> {
@@ -53,6 +48,7 @@ export class TexturePicker {
   }
 
   private fill(textures: TextureInfo[]): void {
+    this.thumbnails.clear();
     const sorted = [...textures].sort(byCategoryAndName);
     this.options = sorted.map((texture, number) => this.createOption(texture, number));
     const categories = new Map<string, HTMLElement>();
@@ -63,7 +59,11 @@ export class TexturePicker {
       group.append(item);
     }
     this.list.replaceChildren(...categories.values());
-    this.active = this.options.find(({ texture }) => texture.name === this.selectedName);
+    const { left } = this.selection.halves;
+    this.active = this.options.find(({ texture }) => texture.name === left);
+    const same = element("option", texts.sameBeside);
+    same.value = "";
+    this.beside.replaceChildren(same, ...sorted.map(({ name }) => element("option", name)));
     this.filter();
     this.showStatus();
   }
@@ -75,13 +75,14 @@ export class TexturePicker {
     item.dataset.testid = "texture";
     item.dataset.name = texture.name;
     item.append(
+      this.thumbnails.create(texture.name),
       element("span", texture.name, "name"),
       element("span", texture.description, "description"),
       element("span", texts.provenance(texture.provenance), "provenance"),
     );
     const searched = `${texture.name} ${texture.category} ${texture.description}`.toLowerCase();
     const option = { texture, item, searched };
-    item.addEventListener("click", () => this.choose(option));
+    item.addEventListener("click", () => this.chooseOption(option));
     return option;
   }
 
@@ -113,7 +114,7 @@ export class TexturePicker {
     else if (event.key === "Home" && inList) next = shown[0];
     else if (event.key === "End" && inList) next = shown[shown.length - 1];
     else if (event.key === "Enter" || (event.key === " " && inList)) {
-      this.choose(this.active ?? shown[0]);
+      this.chooseOption(this.active ?? shown[0]);
     } else return;
     event.preventDefault();
     if (next) this.activate(next);
@@ -141,20 +142,18 @@ export class TexturePicker {
     else list.scrollTop = Math.max(list.scrollTop, bottom - list.clientHeight);
   }
 
-  private choose(option: Option | undefined): void {
+  private chooseOption(option: Option | undefined): void {
     if (!option) return;
     this.activate(option);
-    showText(this.problem, "");
-    setText(this.status, texts.preparing(option.texture.name));
-    this.status.dataset.busy = "true";
-    this.selection.send(option.texture.name);
+    this.choose(option.texture.name);
   }
 
-  private async select(name: string): Promise<void> {
-    const { display } = this.session;
-    if (!display) throw new Error(texts.notConnected);
-    await display.select(name);
-    this.selected.set(display.name, name);
+  private choose(name: string, isBeside = false): void {
+    showText(this.problem, "");
+    setText(this.status, texts.preparing(name || this.selection.halves.left));
+    this.status.dataset.busy = "true";
+    if (isBeside) this.selection.chooseBeside(name);
+    else this.selection.choose(name);
   }
 
   private settle(name: string, error?: Error): void {
@@ -165,10 +164,12 @@ export class TexturePicker {
 
   private showStatus(): void {
     delete this.status.dataset.busy;
-    const name = this.selectedName;
-    setText(this.status, name ? texts.selected(name) : texts.nothingSelected);
+    const { left, right } = this.selection.halves;
+    setText(this.status, left ? texts.selected(left, right) : texts.nothingSelected);
+    this.beside.value = right;
+    this.beside.disabled = left === "";
     for (const { texture, item } of this.options) {
-      item.setAttribute("aria-selected", String(texture.name === name));
+      item.setAttribute("aria-selected", String(texture.name === left));
     }
   }
 }

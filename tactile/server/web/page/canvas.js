@@ -5,6 +5,10 @@ const still = matchMedia("(prefers-reduced-motion: reduce)");
 export function wantsStillness() {
     return still.matches;
 }
+/** Return whether the page is dark. */
+export function isDark() {
+    return dark.matches;
+}
 function readColors() {
     const style = getComputedStyle(document.documentElement);
     const color = (name) => style.getPropertyValue(`--${name}`).trim();

@@ -14,7 +14,7 @@ const PATIENCE_MS = 300;
 const DESCRIBE_MS = 500;
 /** The bands of no spectrum. */
 const NOTHING = [];
-/** Shows the spectrum of the commanded shear of one contactor, and lets it be heard. */
+/** Shows the spectra of commanded and played shear of one contactor, and lets it be heard. */
 export class ContactorPanel {
     constructor(session, choice) {
         this.session = session;
@@ -23,9 +23,9 @@ export class ContactorPanel {
         this.select = byId("contactor");
         this.places_mm = [];
         this.threshold = new Threshold([]);
-        this.sample_rate_hz = 0;
+        this.commanded = new TracedSpectrum();
+        this.played = new TracedSpectrum();
         this.updated_ms = 0;
-        this.received_ms = 0;
         this.unsubscribe = () => { };
         this.listening = new Listening(session);
         this.select.addEventListener("change", () => choice.choose(this.select.selectedIndex));
@@ -40,7 +40,8 @@ export class ContactorPanel {
             this.showDisplay(display);
         const { contactor } = this.choice;
         this.select.selectedIndex = contactor;
-        this.spectrum = undefined;
+        this.commanded.startAnew(this.threshold);
+        this.played.startAnew(this.threshold);
         this.listening.startAnew();
         this.unsubscribe();
         const take = (telemetry) => this.take(telemetry);
@@ -54,40 +55,83 @@ export class ContactorPanel {
         this.select.replaceChildren(...this.places_mm.map((_, k) => element("option", String(k))));
         this.threshold = new Threshold(display?.info.threshold_um ?? []);
     }
-    take({ trace }) {
+    take({ trace, played }) {
+        if (played?.contactor === this.choice.contactor)
+            this.played.take(played);
         if (!trace?.shear_um.length || trace.contactor !== this.choice.contactor)
             return;
-        this.received_ms = performance.now();
-        if (!this.spectrum || trace.sample_rate_hz !== this.sample_rate_hz) {
-            this.sample_rate_hz = trace.sample_rate_hz;
-            this.spectrum = new ContactorSpectrum(trace.sample_rate_hz, this.threshold);
-        }
-        const samples = traceSamples(trace);
-        this.spectrum.take(trace.first, samples);
+        const samples = this.commanded.take(trace);
         this.listening.take(trace.sample_rate_hz, trace.first, samples);
     }
     update(now_ms) {
-        if (now_ms - this.received_ms > PATIENCE_MS)
-            this.spectrum?.clear();
-        else
-            this.spectrum?.update((now_ms - this.updated_ms) / 1000);
+        const passed_s = (now_ms - this.updated_ms) / 1000;
         this.updated_ms = now_ms;
-        this.view.show(this.spectrum?.bands ?? NOTHING, this.threshold);
+        const [commanded, played] = [this.commanded, this.played].map((spectrum) => spectrum.update(now_ms, passed_s));
+        this.view.show(commanded ?? NOTHING, played ?? NOTHING, this.threshold);
     }
     describe() {
         const sentence = this.sentence();
         setText(byId("spectrum-summary"), sentence);
         const { contactor } = this.choice;
-        const label = texts.spectrum(contactor, this.places_mm[contactor] ?? [0, 0], sentence);
+        const place_mm = this.places_mm[contactor] ?? [0, 0];
+        const label = texts.spectrum(contactor, place_mm, sentence + this.onSkin());
         byId("spectrum").setAttribute("aria-label", label);
     }
     sentence() {
-        const strongest = this.spectrum?.strongest;
+        const { strongest } = this.commanded;
         if (this.display?.info.waveforms === false)
             return texts.noTrace;
         if (!strongest)
             return texts.nothingPlays;
         const { level_db, band } = strongest;
         return level_db > 0 ? texts.strongest(level_db, band.nominal_hz) : texts.belowThreshold;
+    }
+    /** Return what the lines of the drawing say of the strongest band. */
+    onSkin() {
+        const { strongest } = this.commanded;
+        const played = this.played.bands.find(({ band }) => band === strongest?.band);
+        return played ? texts.onSkin(played.level_db) : "";
+    }
+}
+/** Spectrum of a trace that may end, and begin again with another sample rate. */
+class TracedSpectrum {
+    constructor() {
+        this.threshold = new Threshold([]);
+        this.sample_rate_hz = 0;
+        this.received_ms = 0;
+    }
+    /** Bands of the spectrum; none while nothing plays. */
+    get bands() {
+        return this.spectrum?.bands ?? NOTHING;
+    }
+    /** Band with the highest sensation level; undefined while nothing plays. */
+    get strongest() {
+        return this.spectrum?.strongest;
+    }
+    /** Forget the samples, as those of another contactor follow. */
+    startAnew(threshold) {
+        this.threshold = threshold;
+        this.spectrum = undefined;
+    }
+    /** Take the samples of a message, and return them [µm]. */
+    take(trace) {
+        const samples = traceSamples(trace);
+        if (samples.length === 0)
+            return samples;
+        this.received_ms = performance.now();
+        if (!this.spectrum || trace.sample_rate_hz !== this.sample_rate_hz) {
+            this.sample_rate_hz = trace.sample_rate_hz;
+            this.spectrum = new ContactorSpectrum(trace.sample_rate_hz, this.threshold);
+        }
+        this.spectrum.take(trace.first, samples);
+        return samples;
+    }
+    /** Compute the bands as of a time, and return them. */
+    update(now_ms, passed_s) {
+        if (now_ms - this.received_ms > PATIENCE_MS)
+            this.spectrum?.clear();
+        else
+            this.spectrum?.update(passed_s);
+        return this.bands;
     }
 }

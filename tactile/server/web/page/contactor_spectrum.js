@@ -5,6 +5,10 @@ import { TraceWindow } from "./trace_window.js";
 const LONGEST_S = 0.55;
 /** Time in which what was there before falls to 1/e [s]. */
 const SMOOTHING_S = 0.25;
+/** Number of samples of which a spectrum is computed at most, whatever the sample rate. */
+const MOST_SAMPLES = 2 ** 16;
+/** Largest shear that is taken [µm]: one that is beyond all displays would be seen for minutes. */
+const MOST_UM = 1000;
 /**
  * Spectrum of the commanded shear of a contactor in third octaves, smoothed over time.
  *
@@ -16,7 +20,8 @@ export class ContactorSpectrum {
         this.threshold = threshold;
         /** Third octaves below half the sample rate; empty while nothing plays. */
         this.bands = [];
-        const length = 2 ** Math.floor(Math.log2(LONGEST_S * sample_rate_hz));
+        const wanted = Math.min(Math.max(LONGEST_S * sample_rate_hz, 2), MOST_SAMPLES);
+        const length = 2 ** Math.floor(Math.log2(wanted));
         this.window = new TraceWindow(length);
         this.spectrum = new LineSpectrum(length);
         this.resolution_hz = sample_rate_hz / length;
@@ -28,7 +33,7 @@ export class ContactorSpectrum {
     }
     /** Take samples [µm], of which the first has a number. */
     take(first, shear_um) {
-        this.window.take(first, shear_um);
+        this.window.take(first, shear_um.map(usable));
     }
     /**
      * Compute the spectrum of the newest samples, and smooth it.
@@ -61,4 +66,8 @@ export class ContactorSpectrum {
         const relative = bandPower(lines, this.resolution_hz, band, weight);
         return { band, peak_um: Math.sqrt(2 * power), level_db: 10 * Math.log10(2 * relative) };
     }
+}
+/** Return a shear [µm] within limits, and 0 for what is no number: it would stay in the spectrum. */
+function usable(shear_um) {
+    return Math.min(Math.max(shear_um, -MOST_UM), MOST_UM) || 0;
 }

@@ -25,6 +25,8 @@ export class Finger {
         this.session = session;
         /** Emitted when the finger touches or lifts. */
         this.changed = new Signal();
+        /** Emitted at each position, before the contact is sent. */
+        this.moved = new Signal();
         this.touching = false;
         this.x_mm = 0;
         this.y_mm = 0;
@@ -45,6 +47,7 @@ export class Finger {
             this.display = this.session.display;
         }
         [this.x_mm, this.y_mm, this.force_n] = [x_mm, y_mm, pressure * FULL_FORCE_N];
+        this.moved.emit(this);
         // `pointermove` repeats what `pointerrawupdate` has reported, with the same times.
         const isNew = this.send(time_ms);
         if (isNew)

@@ -16,7 +16,9 @@ import { Notice } from "./notice.js";
 import { showPadHint } from "./pad_hint.js";
 import { PadKeys } from "./pad_keys.js";
 import { strokeByPointer } from "./pad_pointer.js";
+import { PadSurface } from "./pad_surface.js";
 import { PadView } from "./pad_view.js";
+import { Selection } from "./selection.js";
 import { Session } from "./session.js";
 import { texts } from "./texts.js";
 import { TexturePicker } from "./texture_picker.js";
@@ -35,16 +37,30 @@ function start() {
     showHealth(session);
     showEventLog(session);
     showEventNotices(session, notice);
-    const picker = new TexturePicker(session);
+    const selection = new Selection(session);
+    new TexturePicker(session, selection);
+    chooseNamedTexture(session, selection);
     const pad = byId("pad");
     const finger = new Finger(session);
     strokeByPointer(pad, finger);
     new PadKeys(pad, finger);
+    const surface = new PadSurface(byId("pad-surface"), session, selection);
+    finger.moved.on(({ x_mm }) => selection.enter(surface.half(x_mm)));
     new PadView(pad, finger);
-    showPadHint(session, finger, () => picker.selectedName);
+    showPadHint(session, finger, selection);
     const choice = new ContactorChoice(session);
     new ArrayView(byId("array"), session, choice);
     new ContactorPanel(session, choice);
+}
+/** Choose the texture that the address names, as in "#texture=wood-oak", once there is a display. */
+function chooseNamedTexture(session, selection) {
+    let name = new URLSearchParams(location.hash.slice(1)).get("texture");
+    session.changed.on(() => {
+        if (!name || !session.display || !session.may("play"))
+            return;
+        selection.choose(name);
+        name = null;
+    });
 }
 const missing = NEEDED.filter((name) => !(name in window));
 if (missing.length > 0) {

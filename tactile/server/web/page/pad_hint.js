@@ -1,11 +1,12 @@
 import { byId, showText } from "./dom.js";
 import { texts } from "./texts.js";
 /** Show on the pad what is missing for something to be felt. */
-export function showPadHint(session, finger, selected) {
+export function showPadHint(session, finger, selection) {
     const hint = byId("pad-hint");
-    const show = () => showText(hint, padHint(session, finger, selected()));
+    const show = () => showText(hint, padHint(session, finger, selection.halves.left));
     session.changed.on(show);
     finger.changed.on(show);
+    selection.changed.on(show);
     show();
 }
 function padHint(session, finger, selected) {

@@ -13,10 +13,11 @@ const FREQUENCIES_HZ = [10, 1000, 100, 20, 500, 50, 200];
 const [PALE, FULL] = [0.35, 1];
 /** Distance between texts and lines, and between bars [CSS px]. */
 const [GAP, BAR_GAP] = [5, 1];
-/** Draws third octaves of a shear, and the detection threshold, on logarithmic axes. */
+/** Draws third octaves of shears, and the detection threshold, on logarithmic axes. */
 export class SpectrumView {
     constructor(canvas) {
         this.bands = [];
+        this.played = [];
         this.threshold = new Threshold([]);
         this.isStale = true;
         this.plot = { left: 0, right: 0, top: 0, bottom: 0 };
@@ -24,11 +25,11 @@ export class SpectrumView {
         this.drawing.changed.on(() => (this.isStale = true));
         onEachFrame(() => this.draw());
     }
-    /** Show bands, none for nothing, and a threshold. */
-    show(bands, threshold) {
-        if (bands === this.bands && threshold === this.threshold)
+    /** Show the bands of commanded and played shear, none for nothing, and a threshold. */
+    show(bands, played, threshold) {
+        if (bands === this.bands && played === this.played && threshold === this.threshold)
             return;
-        [this.bands, this.threshold, this.isStale] = [bands, threshold, true];
+        [this.bands, this.played, this.threshold, this.isStale] = [bands, played, threshold, true];
     }
     draw() {
         if (!this.isStale)
@@ -41,9 +42,11 @@ export class SpectrumView {
         this.fit(parseFloat(fontSize));
         this.drawGrid();
         this.drawBars();
+        this.drawPlayed();
         this.drawThreshold();
         const { right, top } = this.plot;
-        this.drawName(texts.bars, right - GAP, top + 1.5 * parseFloat(fontSize), "right");
+        const name = this.played.length ? texts.barsAndPlayed : texts.bars;
+        this.drawName(name, right - GAP, top + 1.5 * parseFloat(fontSize), "right");
     }
     /** Leave space for the texts beside the axes. */
     fit(font) {
@@ -98,6 +101,20 @@ export class SpectrumView {
                 context.fillRect(from, y, to - from, bottom - y);
         }
         context.globalAlpha = 1;
+    }
+    /** Draw a line across each bar, at the top of which it is if what is played is commanded. */
+    drawPlayed() {
+        const { context, colors } = this.drawing;
+        const { bottom, top } = this.plot;
+        context.beginPath();
+        for (const { band, peak_um } of this.played) {
+            const y = Math.max(this.y(peak_um), top);
+            if (y < bottom)
+                line(context, this.x(band.from_hz), y, this.x(band.to_hz), y);
+        }
+        context.strokeStyle = colors.text;
+        context.lineWidth = 2;
+        context.stroke();
     }
     drawThreshold() {
         const { threshold } = this;

@@ -33,6 +33,7 @@ export const labels = {
     fullScale: `At 100 %, ${FULL_SCALE_UM} µm are full scale; peaks beyond are clipped.`,
     textures: "Textures",
     search: "Search textures",
+    beside: "Right half",
     gain: "Gain",
     health: "Health",
     moreCounters: "More counters",
@@ -118,6 +119,8 @@ export const texts = {
     padDisarmed: "The display is disarmed: nothing is felt. Arm it, then stroke here.",
     padSelect: "Select a texture, then stroke here.",
     fingerOfAnother: "Another program has the finger. What you do here counts when that program has lifted it.",
+    surfaceScale: (texture, lowest_um, highest_um) => `${texture}: dark ${signed(lowest_um)} µm, light ${signed(highest_um)} µm`,
+    noPicture: (message) => `The surface could not be drawn: ${sentence(message)}`,
     lifted: "Not touching",
     finger: (x_mm, y_mm, speed_mm_s, force_n) => `x ${x_mm.toFixed(1)} mm, y ${y_mm.toFixed(1)} mm · ${speed_mm_s.toFixed(0)} mm/s · ` +
         `${force_n.toFixed(2)} N`,
@@ -140,11 +143,13 @@ export const texts = {
     shearTick: (shear_um) => (shear_um === 100 ? "100 µm" : String(shear_um)),
     threshold: "Detection threshold",
     bars: "Peak per third octave",
+    barsAndPlayed: "Bars: commanded. Lines: on the skin",
     strongest: (level_db, frequency_hz) => `Strongest: ${level_db.toFixed(0)} dB above threshold at ${frequency_hz} Hz`,
+    onSkin: (level_db) => `, ${level_db.toFixed(0)} dB on the skin`,
     belowThreshold: "Below threshold everywhere",
     nothingPlays: "Nothing plays",
     noTrace: "This link takes spectra: there are no samples to show, or to listen to.",
-    spectrum: (contactor, [x_mm, y_mm], summary) => `Commanded shear of contactor ${contactor} at x ${x_mm.toFixed(1)} mm, ` +
+    spectrum: (contactor, [x_mm, y_mm], summary) => `Shear of contactor ${contactor} at x ${x_mm.toFixed(1)} mm, ` +
         `y ${y_mm.toFixed(1)} mm in third octaves from 10 Hz to 1 kHz, and the detection threshold. ${sentence(summary)}`,
     listenFailed: (message) => `The loudspeaker cannot be used: ${sentence(message)}`,
     // Textures and gain
@@ -152,7 +157,8 @@ export const texts = {
     noTextureMatches: (search) => `No texture matches “${search}”.`,
     noTextures: (message) => `The list of textures could not be read: ${sentence(message)} Reload this page to try again.`,
     nothingSelected: "No texture is selected.",
-    selected: (name) => `Selected: ${name}`,
+    selected: (left, right) => right ? `Left: ${left}. Right: ${right}` : `Selected: ${left}`,
+    sameBeside: "The same texture",
     preparing: (name) => `Preparing ${name} …`,
     selectFailed: (name, message) => `“${name}” cannot be played: ${sentence(message)} Select it again, or another texture.`,
     percent: (percent) => `${percent} %`,
@@ -186,6 +192,10 @@ export const texts = {
     },
     event: (display, kind, detail) => `${display}: ${eventKinds[kind] ?? kind}${detail ? ` (${detail})` : ""}`,
 };
+/** Return a number with one decimal and, below zero, with a minus sign instead of a hyphen. */
+function signed(value) {
+    return value.toFixed(1).replace("-", "−");
+}
 /** Return a text of the server as a sentence: with a capital letter and a full stop. */
 function sentence(text) {
     if (!text)

@@ -1,30 +1,28 @@
 import { byId, element, setText, showText } from "./dom.js";
-import { Newest } from "./newest.js";
 import { texts } from "./texts.js";
+import { TextureThumbnails } from "./texture_thumbnails.js";
 /** Search field and list of the textures; a click or Enter selects one. */
 export class TexturePicker {
-    constructor(session) {
+    constructor(session, selection) {
         this.session = session;
+        this.selection = selection;
         this.search = byId("search");
         this.list = byId("textures");
         this.empty = byId("textures-empty");
         this.status = byId("selected");
         this.problem = byId("select-problem");
-        this.selection = new Newest((name) => this.select(name), (name, error) => this.settle(name, error));
+        this.beside = byId("beside");
         this.options = [];
-        /** Name of the texture that the display plays, by the name of the display. */
-        this.selected = new Map();
+        this.thumbnails = new TextureThumbnails(session, this.list);
         this.search.addEventListener("input", () => this.filter());
+        this.beside.addEventListener("change", () => this.choose(this.beside.value, true));
         for (const target of [this.search, this.list]) {
             target.addEventListener("keydown", (event) => this.press(event));
         }
         session.displayChanged.on(() => void this.read());
-        session.reopened.on(() => this.selected.clear()); // the server forgot it with the connection
         session.event.on(({ kind }) => kind === "textures" && void this.read());
-    }
-    /** Name of the selected texture; empty if none is. */
-    get selectedName() {
-        return this.selected.get(this.session.display?.name ?? "") ?? "";
+        selection.changed.on(() => this.showStatus());
+        selection.settled.on(({ name, error }) => this.settle(name, error));
     }
     async read() {
         this.showStatus();
@@ -38,6 +36,7 @@ export class TexturePicker {
         }
     }
     fill(textures) {
+        this.thumbnails.clear();
         const sorted = [...textures].sort(byCategoryAndName);
         this.options = sorted.map((texture, number) => this.createOption(texture, number));
         const categories = new Map();
@@ -48,7 +47,11 @@ export class TexturePicker {
             group.append(item);
         }
         this.list.replaceChildren(...categories.values());
-        this.active = this.options.find(({ texture }) => texture.name === this.selectedName);
+        const { left } = this.selection.halves;
+        this.active = this.options.find(({ texture }) => texture.name === left);
+        const same = element("option", texts.sameBeside);
+        same.value = "";
+        this.beside.replaceChildren(same, ...sorted.map(({ name }) => element("option", name)));
         this.filter();
         this.showStatus();
     }
@@ -58,10 +61,10 @@ export class TexturePicker {
         item.id = `texture-${number}`;
         item.dataset.testid = "texture";
         item.dataset.name = texture.name;
-        item.append(element("span", texture.name, "name"), element("span", texture.description, "description"), element("span", texts.provenance(texture.provenance), "provenance"));
+        item.append(this.thumbnails.create(texture.name), element("span", texture.name, "name"), element("span", texture.description, "description"), element("span", texts.provenance(texture.provenance), "provenance"));
         const searched = `${texture.name} ${texture.category} ${texture.description}`.toLowerCase();
         const option = { texture, item, searched };
-        item.addEventListener("click", () => this.choose(option));
+        item.addEventListener("click", () => this.chooseOption(option));
         return option;
     }
     filter() {
@@ -96,7 +99,7 @@ export class TexturePicker {
         else if (event.key === "End" && inList)
             next = shown[shown.length - 1];
         else if (event.key === "Enter" || (event.key === " " && inList)) {
-            this.choose(this.active ?? shown[0]);
+            this.chooseOption(this.active ?? shown[0]);
         }
         else
             return;
@@ -129,21 +132,20 @@ export class TexturePicker {
         else
             list.scrollTop = Math.max(list.scrollTop, bottom - list.clientHeight);
     }
-    choose(option) {
+    chooseOption(option) {
         if (!option)
             return;
         this.activate(option);
-        showText(this.problem, "");
-        setText(this.status, texts.preparing(option.texture.name));
-        this.status.dataset.busy = "true";
-        this.selection.send(option.texture.name);
+        this.choose(option.texture.name);
     }
-    async select(name) {
-        const { display } = this.session;
-        if (!display)
-            throw new Error(texts.notConnected);
-        await display.select(name);
-        this.selected.set(display.name, name);
+    choose(name, isBeside = false) {
+        showText(this.problem, "");
+        setText(this.status, texts.preparing(name || this.selection.halves.left));
+        this.status.dataset.busy = "true";
+        if (isBeside)
+            this.selection.chooseBeside(name);
+        else
+            this.selection.choose(name);
     }
     settle(name, error) {
         if (error)
@@ -153,10 +155,12 @@ export class TexturePicker {
     }
     showStatus() {
         delete this.status.dataset.busy;
-        const name = this.selectedName;
-        setText(this.status, name ? texts.selected(name) : texts.nothingSelected);
+        const { left, right } = this.selection.halves;
+        setText(this.status, left ? texts.selected(left, right) : texts.nothingSelected);
+        this.beside.value = right;
+        this.beside.disabled = left === "";
         for (const { texture, item } of this.options) {
-            item.setAttribute("aria-selected", String(texture.name === name));
+            item.setAttribute("aria-selected", String(texture.name === left));
         }
     }
 }

@@ -477,35 +477,62 @@ def test_telemetry_comes_as_often_as_asked_and_a_full_outbox_drops_the_oldest(
     assert len(told.shear_um) == len(told.drive_v) == 24
 
 
-def traces(program: Program) -> list[m.TelemetryTrace]:
-    """Return the traces that have come to a program."""
+def telemetry(program: Program) -> list[m.TelemetryMessage]:
+    """Return the telemetry that has come to a program."""
     outbox = program.client.outbox
     came = program.runner.call(lambda: [outbox.get_nowait() for _ in range(outbox.qsize())])
-    return [o.trace for o in came if isinstance(o, m.TelemetryMessage) and o.trace is not None]
+    return [message for message in came if isinstance(message, m.TelemetryMessage)]
+
+
+def traces(program: Program) -> list[m.TelemetryTrace]:
+    """Return the traces of commanded shear that have come to a program."""
+    return [message.trace for message in telemetry(program) if message.trace is not None]
 
 
 def test_the_shear_of_one_contactor_comes_sample_by_sample(program: Program) -> None:
-    """The effect is a sinusoid of 160 Hz and 5 µm; before it is armed nothing comes."""
+    """Play a sinusoid of 160 Hz and 5 µm, which also is what the simulated skin does.
+
+    Nothing comes before the display is armed.
+    """
     program.ask(m.Subscribe(display=NAME, rate_hz=100.0, contactor=7))
     program.until(lambda _: program.client.outbox.qsize() > 3)
     assert {trace.shear_um for trace in traces(program)} == {b""}
     program.ask(m.ArmDisplay(display=NAME))
     program.until(lambda stats: stats.state == "armed")
     program.ask(m.PlayNamedEffect(display=NAME, effect="hum"))
-    came: list[m.TelemetryTrace] = []
+    came: list[m.TelemetryMessage] = []
 
     def played(_: m.StatsReply) -> bool:
         program.touch()
-        came.extend(traces(program))
-        return sum(len(trace.shear_um) // 4 for trace in came) > 4000
+        came.extend(telemetry(program))
+        return sum(len(one.trace.shear_um) // 4 for one in came if one.trace is not None) > 4000
 
     program.until(played)
-    assert {(trace.contactor, trace.sample_rate_hz) for trace in came} == {(7, 8000.0)}
-    shear = np.concatenate([np.frombuffer(trace.shear_um, "<f4") for trace in came])
-    longest = max(range(0, len(shear) - 400, 50), key=lambda k: float(np.std(shear[k : k + 400])))
-    wave = shear[longest : longest + 400]
-    assert np.std(wave) * np.sqrt(2) == pytest.approx(5.0, rel=0.02)
-    assert np.argmax(np.abs(np.fft.rfft(wave))) == 160 * 400 // 8000
+    for found in ([one.trace for one in came], [one.played for one in came]):
+        sent = [trace for trace in found if trace is not None]
+        assert {(trace.contactor, trace.sample_rate_hz) for trace in sent} == {(7, 8000.0)}
+        shear = np.concatenate([np.frombuffer(trace.shear_um, "<f4") for trace in sent])
+        strongest = max(
+            range(0, len(shear) - 400, 50), key=lambda k: float(np.std(shear[k : k + 400]))
+        )
+        wave = shear[strongest : strongest + 400]
+        assert np.std(wave) * np.sqrt(2) == pytest.approx(5.0, rel=0.02)
+        assert np.argmax(np.abs(np.fft.rfft(wave))) == 160 * 400 // 8000
+    program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
+
+
+def test_another_rate_of_telemetry_makes_no_gap_in_a_trace(host: Host, program: Program) -> None:
+    """Add samples while the display is disarmed, so that nothing else adds any."""
+    memory = host.playing[NAME].memory
+    program.ask(m.DisarmDisplay(display=NAME))
+    program.until(lambda stats: stats.state == "disarmed")
+    program.ask(m.Subscribe(display=NAME, rate_hz=100.0, contactor=7))
+    program.until(lambda _: program.client.outbox.qsize() > 1)
+    traces(program)
+    program.runner.call(lambda: memory.commanded.add(np.full((100, 24), 1e-6)))
+    program.ask(m.Subscribe(display=NAME, rate_hz=50.0, contactor=7))
+    program.until(lambda _: program.client.outbox.qsize() > 1)
+    assert sum(len(trace.shear_um) // 4 for trace in traces(program)) == 100
     program.ask(m.Subscribe(display=NAME, rate_hz=0.0))
 
 

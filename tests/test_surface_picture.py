@@ -79,6 +79,6 @@ def test_waves_shorter_than_a_pixel_make_no_false_pattern() -> None:
     texture = load_texture(RIBBED)
     coarse = heights_of(texture, SurfaceSection(0.0, 0.0, 1.6e-3, 60, 20))
     x = 1.6e-3 * (np.arange(60) + 0.5)
-    sampled = surface_heights(texture, x, x[:20])
+    sampled = surface_heights(texture, np.asarray(x), np.asarray(x[:20]))
     assert coarse.std() < 0.3 * sampled.std()
     assert FINER % 2 == 1  # the center of a pixel is among the places

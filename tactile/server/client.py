@@ -88,6 +88,7 @@ class Client:
         self.outbox: asyncio.Queue[EventMessage | TelemetryMessage] = asyncio.Queue(OUTBOX)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
+        self._traced: dict[str, tuple[int | None, tuple[_Tracer, _Tracer]]] = {}
 
     def post(self, what: EventMessage | TelemetryMessage) -> None:
         """Put a message in the outbox, in place of the oldest telemetry if it is full.
@@ -438,8 +439,16 @@ class Client:
             self._telemetry[name] = start_task(sending)
         return m.Done()
 
+    def _tracers(self, name: str, contactor: int | None) -> tuple["_Tracer", "_Tracer"]:
+        """Return what reads the shears of a contactor; a new rate of telemetry makes no gap."""
+        before, tracers = self._traced.get(name, (None, (_Tracer(), _Tracer())))
+        if before != contactor:
+            tracers = _Tracer(), _Tracer()
+        self._traced[name] = contactor, tracers
+        return tracers
+
     async def _send_telemetry(self, name: str, interval: float, contactor: int | None) -> None:
-        commanded, played = _Tracer(), _Tracer()
+        commanded, played = self._tracers(name, contactor)
         while (playing := self._host.playing.get(name)) is not None:
             traces: tuple[m.TelemetryTrace | None, ...] = None, None
             if contactor is not None and not playing.how.carriers:

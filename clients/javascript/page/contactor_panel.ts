@@ -10,8 +10,8 @@ import { SpectrumView } from "./spectrum_view.js";
 import { texts } from "./texts.js";
 import { Threshold } from "./threshold.js";
 
-/** Telemetry messages per second, as for the other drawings. */
-const TELEMETRY_HZ = 60;
+/** Telemetry messages per second, unless the session wants more: one for each update. */
+const TELEMETRY_HZ = 10;
 const UPDATE_MS = 100;
 /** Time without samples after which nothing plays [ms]. */
 const PATIENCE_MS = 300;

@@ -57,6 +57,7 @@ export class Listening {
   }
 
   private show(): void {
+    this.session.hurry("listening", this.speaker !== undefined);
     this.button.setAttribute("aria-pressed", String(this.speaker !== undefined));
   }
 

@@ -48,6 +48,7 @@ function start(): void {
   strokeByPointer(pad, finger);
   new PadKeys(pad, finger);
   const surface = new PadSurface(byId<HTMLCanvasElement>("pad-surface"), session, selection);
+  finger.changed.on(({ touching }) => session.hurry("stroke", touching));
   finger.moved.on(({ x_mm }) => selection.enter(surface.half(x_mm)));
   new PadView(pad, finger);
   showPadHint(session, finger, selection);

@@ -6,7 +6,8 @@ import { Signal } from "./signal.js";
 /** State of the display as shown; "offline" as long as the server does not report one. */
 export type ShownState = "disarmed" | "armed" | "estopped" | "lost" | "offline";
 
-const TELEMETRY_HZ = 60;
+/** Telemetry per second during a stroke or while it is listened to, and otherwise. */
+const [OFTEN_HZ, SELDOM_HZ] = [60, 20];
 const STATS_EVERY_MS = 1000;
 const STATES: readonly string[] = ["disarmed", "armed", "estopped", "lost"];
 
@@ -33,6 +34,8 @@ export class Session {
   private reported: ShownState = "offline";
   private asking = false;
   private unsubscribe = () => {};
+  private readonly hurried = new Set<string>();
+  private readonly listener = (telemetry: TelemetryMessage) => this.takeTelemetry(telemetry);
 
   constructor() {
     this.open("");
@@ -79,6 +82,13 @@ export class Session {
     this.changed.emit(this);
   }
 
+  /** Get telemetry often as long as something wants it: many pages may only watch. */
+  hurry(what: string, isWanted: boolean): void {
+    if (isWanted) this.hurried.add(what);
+    else this.hurried.delete(what);
+    this.subscribe();
+  }
+
   /** Ask for the state of the display now, for example after an event. */
   async askStats(): Promise<void> {
     const { display } = this;
@@ -116,9 +126,14 @@ export class Session {
     this.display = display;
     this.latestStats = undefined;
     this.reported = "offline";
-    this.unsubscribe = display?.telemetry(TELEMETRY_HZ, (t) => this.takeTelemetry(t)) ?? (() => {});
+    this.subscribe();
     this.displayChanged.emit(this);
     void this.askStats();
+  }
+
+  private subscribe(): void {
+    const rate_hz = this.hurried.size > 0 ? OFTEN_HZ : SELDOM_HZ;
+    this.unsubscribe = this.display?.telemetry(rate_hz, this.listener) ?? (() => {});
   }
 
   private takeEvent(event: EventMessage): void {

@@ -6,10 +6,17 @@ import { DisplayMemory, PendingEstops } from "./memory.js";
 import { API_VERSION, MSGPACK_PROTOCOL, PATH } from "./messages.js";
 import { DecodeError, decode, encode } from "./msgpack.js";
 import { ContactPacing } from "./pacing.js";
+import { faultOf, isKnown, isTyped } from "./validation.js";
 /** Interval between pings, each of which also measures the clocks [ms]. */
 const PING_INTERVAL_MS = 1000;
-/** Time without an answer to a ping after which a connection is given up [µs]. */
+/** Time without an answer to what is answered at once, after which a connection is given up [µs]. */
 const SILENCE_US = 3e6;
+/** Requests that the server answers at once, whatever else it does. */
+const PROMPT = ["ping", "estop"];
+/** Time in which a new connection must be open, and the server must have welcomed us [µs]. */
+const WELCOME_WITHIN_US = 10e6;
+/** Time after which a question for the state is given up [µs]: it may be asked again. */
+const STATS_WITHIN_US = 10e6;
 /** Limits of the pause before a reconnection [ms]; it doubles each time, less a random half. */
 const FIRST_PAUSE_MS = 100;
 const LONGEST_PAUSE_MS = 5000;
@@ -19,6 +26,16 @@ const MOST_WAITING = 256;
 const MOST_UNSENT = 16 * 1024;
 /** Close codes after which the same hello would be refused again. */
 const FINAL_CODES = new Set([1002, 4400, 4401, 4406]);
+/** Types of these replies. */
+const REPLIES = {
+    hello: "welcome",
+    list_textures: "textures",
+    draw_texture: "texture_picture",
+    list_effects: "effects",
+    append: "appended",
+    get_stats: "stats",
+    ping: "pong",
+};
 /**
  * Connect to a server, and again whenever the connection is lost, until `close` is called.
  *
@@ -35,8 +52,9 @@ export class Connection {
         this.state = "connecting";
         /** Why there is no connection, in a sentence; empty while there is one. */
         this.reason = "not connected yet";
-        /** Number of messages of the server that could not be read. */
+        /** Number of messages of the server that are not as the API has them. */
         this.ignoredMessages = 0;
+        this.opened_us = 0;
         this.refusal = "";
         this.waiting = new Map();
         this.lastId = 0;
@@ -103,6 +121,18 @@ export class Connection {
     /** Return all textures of the server. */
     async textures() {
         return (await this.request({ type: "list_textures" })).textures;
+    }
+    /**
+     * Return a picture of the surface of a texture, which may take a second.
+     *
+     * @param section Texture, and what to draw of it.
+     */
+    async drawTexture(section) {
+        const picture = await this.request({ type: "draw_texture", ...section });
+        const [wanted, sent] = [section.columns * section.rows, picture.pixels.length];
+        if (sent !== wanted)
+            throw new ClientError(`the picture has ${sent} pixels, not ${wanted}`);
+        return picture;
     }
     /** Return all effects of the server. */
     async effects() {
@@ -208,6 +238,7 @@ export class Connection {
         }
         socket.binaryType = "arraybuffer";
         this.socket = socket;
+        this.opened_us = now_us();
         const current = () => this.socket === socket;
         socket.onopen = () => current() && this.sayHello();
         socket.onmessage = ({ data }) => current() && this.receive(data);
@@ -256,14 +287,31 @@ export class Connection {
         return new DisconnectedError(`not connected: ${this.reason}${text}`);
     }
     checkAlive() {
-        if (this.state !== "connected")
-            return;
-        const pings = [...this.waiting.values()].filter(({ command }) => command.type === "ping");
-        if (pings.some(({ sent_us }) => now_us() - sent_us > SILENCE_US)) {
-            this.lost("the server does not answer", "connecting");
+        const now = now_us();
+        const isLate = ({ command, sent_us }) => PROMPT.includes(command.type) && now - sent_us > SILENCE_US;
+        if (this.state === "connecting") {
+            const isOpening = this.socket !== undefined;
+            if (!isOpening || now - this.opened_us < WELCOME_WITHIN_US)
+                return;
+            this.lost(this.refusal || "the server does not answer", "connecting");
         }
-        else {
-            this.sendUnasked({ type: "ping", time_us: now_us() });
+        else if (this.state === "connected") {
+            this.giveUpStats(now - STATS_WITHIN_US);
+            if ([...this.waiting.values()].some(isLate)) {
+                this.lost("the server does not answer", "connecting");
+            }
+            else {
+                this.sendUnasked({ type: "ping", time_us: now });
+            }
+        }
+    }
+    /** Reject questions for the state that are older than a time: their answers may be lost. */
+    giveUpStats(oldest_us) {
+        for (const [id, { command, sent_us, reject }] of [...this.waiting]) {
+            if (command.type !== "get_stats" || sent_us > oldest_us)
+                continue;
+            this.waiting.delete(id);
+            reject(new ClientError("the server does not answer"));
         }
     }
     // Messages
@@ -284,47 +332,83 @@ export class Connection {
         });
     }
     receive(data) {
-        const answer = this.decoded(data);
-        if (answer === undefined)
-            return;
+        const message = decoded(data);
+        const fault = message && faultOf(message);
+        if (message === undefined)
+            this.giveUp("the server sends what is no message");
+        else if (fault)
+            this.takeFaulty(message, fault);
+        else
+            this.take(message);
+    }
+    take(answer) {
         if (answer.type === "telemetry") {
-            for (const listener of [...this.memory(answer.display).listeners.keys()]) {
+            for (const listener of [...(this.memories.get(answer.display)?.listeners.keys() ?? [])]) {
                 call(listener, answer);
             }
         }
         else if (answer.type === "event") {
             if (answer.kind === "estopped")
-                this.memory(answer.display).estop = answer.estop ?? 0;
+                this.setEstop(answer.display, answer.estop ?? 0);
             if (answer.kind === "cleared")
-                this.memory(answer.display).estop = 0;
+                this.setEstop(answer.display, 0);
             this.notify("event", answer);
         }
         else if (answer.id === undefined || answer.id === null) {
             if (answer.type === "failure")
                 this.notify("failure", answer);
+            else
+                this.giveUp(`the server sends ${answer.type} without an id`);
         }
         else {
             this.answered({ ...answer, id: answer.id });
         }
     }
-    decoded(data) {
-        try {
-            const value = decode(new Uint8Array(data));
-            if (typeof value === "object" && value !== null && "type" in value)
-                return value;
+    /**
+     * Take a message that is not as the API has it. If it is an answer, its request fails. All others
+     * are ignored, unless a request could wait for them for ever.
+     */
+    takeFaulty({ type, id }, fault) {
+        const text = `${type} of the server cannot be read: ${fault}`;
+        const waiting = this.waiting.get(id);
+        const { type: asked = "" } = waiting?.command ?? {};
+        if (asked === "hello" || asked === "estop") { // an e-stop is sent again
+            this.giveUp(text);
         }
-        catch (error) {
-            if (!(error instanceof DecodeError))
-                throw error;
+        else if (waiting !== undefined) {
+            this.ignoredMessages += 1;
+            const message = text;
+            this.answered({ type: "failure", id: id, code: "internal", message });
         }
+        else if (isKnown(type) && !["event", "telemetry"].includes(type) && !Number.isInteger(id)) {
+            this.giveUp(text);
+        }
+        else {
+            this.ignoredMessages += 1;
+        }
+    }
+    /** Connect anew, as an answer may be lost for which a request would wait. */
+    giveUp(reason) {
         this.ignoredMessages += 1;
-        return undefined;
+        this.lost(reason, "connecting");
+    }
+    setEstop(display, estop) {
+        const memory = this.memories.get(display); // those of displays that the welcome had
+        if (memory)
+            memory.estop = estop;
     }
     answered(answer) {
-        const waiting = this.waiting.get(answer.id);
+        const { id } = answer;
+        const waiting = this.waiting.get(id);
         if (waiting === undefined)
             return;
-        this.waiting.delete(answer.id);
+        const { type } = waiting.command;
+        const expected = type in REPLIES ? REPLIES[type] : "done";
+        if (answer.type !== "failure" && answer.type !== expected) {
+            this.takeFaulty({ type: answer.type, id }, `it is no answer to ${type}`);
+            return;
+        }
+        this.waiting.delete(id);
         this.estops.resolve(answer);
         if (answer.type === "failure") {
             waiting.reject(new RequestError(answer));
@@ -342,11 +426,11 @@ export class Connection {
             this.clock.add(sent_us, answer.server_time_us, now_us());
         }
         else if (answer.type === "stats") {
-            this.memory(answer.display).estop = answer.estop ?? 0;
+            this.setEstop(answer.display, answer.estop ?? 0);
         }
         else if (answer.type === "done") {
             for (const [display, estop] of Object.entries(answer.estops ?? {})) {
-                this.memory(display).estop = estop;
+                this.setEstop(display, estop);
             }
             if ("display" in command && command.display)
                 this.memory(command.display).confirm(command);
@@ -374,6 +458,20 @@ export class Connection {
     notify(kind, value) {
         for (const listener of [...this.listeners[kind]])
             call(listener, value);
+    }
+}
+/** Return a message; undefined for what is none. */
+function decoded(data) {
+    if (typeof data === "string")
+        return undefined;
+    try {
+        const value = decode(new Uint8Array(data));
+        return isTyped(value) ? value : undefined;
+    }
+    catch (error) {
+        if (!(error instanceof DecodeError))
+            throw error;
+        return undefined;
     }
 }
 /** Call a listener; what it throws is reported, and harms no other one. */

@@ -9,13 +9,20 @@ export class Display {
         this.connection = connection;
         this.name = name;
         this.position_mm = [0, 0];
+        this.latestInfo = this.presentInfo;
     }
-    /** Contactors and limits of the display. Throws if the server has no such display any more. */
+    /**
+     * Contactors and limits of the display; those that it had last if the server has no such display
+     * any more, as after a reconnection to one with another configuration. Throws if it never had.
+     */
     get info() {
-        const info = this.connection.welcome?.displays.find(({ name }) => name === this.name);
-        if (info === undefined)
-            throw new ClientError(`no display ${JSON.stringify(this.name)}`);
-        return info;
+        this.latestInfo = this.presentInfo ?? this.latestInfo;
+        if (this.latestInfo)
+            return this.latestInfo;
+        throw new ClientError(`no display ${JSON.stringify(this.name)}`);
+    }
+    get presentInfo() {
+        return this.connection.welcome?.displays.find(({ name }) => name === this.name);
     }
     /** Number of the e-stop that holds as far as the server last reported, 0 for none. */
     get estopped() {

@@ -53,6 +53,7 @@ export class Listening {
             this.stop();
     }
     show() {
+        this.session.hurry("listening", this.speaker !== undefined);
         this.button.setAttribute("aria-pressed", String(this.speaker !== undefined));
     }
     get volume() {

@@ -45,6 +45,7 @@ function start() {
     strokeByPointer(pad, finger);
     new PadKeys(pad, finger);
     const surface = new PadSurface(byId("pad-surface"), session, selection);
+    finger.changed.on(({ touching }) => session.hurry("stroke", touching));
     finger.moved.on(({ x_mm }) => selection.enter(surface.half(x_mm)));
     new PadView(pad, finger);
     showPadHint(session, finger, selection);

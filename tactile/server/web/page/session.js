@@ -1,6 +1,7 @@
 import { connect, RequestError } from "../client/index.js";
 import { Signal } from "./signal.js";
-const TELEMETRY_HZ = 60;
+/** Telemetry per second during a stroke or while it is listened to, and otherwise. */
+const [OFTEN_HZ, SELDOM_HZ] = [60, 20];
 const STATS_EVERY_MS = 1000;
 const STATES = ["disarmed", "armed", "estopped", "lost"];
 /** The connection to the server, the display that is shown, and what is known of it. */
@@ -23,6 +24,8 @@ export class Session {
         this.reported = "offline";
         this.asking = false;
         this.unsubscribe = () => { };
+        this.hurried = new Set();
+        this.listener = (telemetry) => this.takeTelemetry(telemetry);
         this.open("");
         setInterval(() => void this.askStats(), STATS_EVERY_MS);
     }
@@ -61,6 +64,14 @@ export class Session {
     show(name) {
         this.showDisplay(this.connection.display(name));
         this.changed.emit(this);
+    }
+    /** Get telemetry often as long as something wants it: many pages may only watch. */
+    hurry(what, isWanted) {
+        if (isWanted)
+            this.hurried.add(what);
+        else
+            this.hurried.delete(what);
+        this.subscribe();
     }
     /** Ask for the state of the display now, for example after an event. */
     async askStats() {
@@ -105,9 +116,13 @@ export class Session {
         this.display = display;
         this.latestStats = undefined;
         this.reported = "offline";
-        this.unsubscribe = display?.telemetry(TELEMETRY_HZ, (t) => this.takeTelemetry(t)) ?? (() => { });
+        this.subscribe();
         this.displayChanged.emit(this);
         void this.askStats();
+    }
+    subscribe() {
+        const rate_hz = this.hurried.size > 0 ? OFTEN_HZ : SELDOM_HZ;
+        this.unsubscribe = this.display?.telemetry(rate_hz, this.listener) ?? (() => { });
     }
     takeEvent(event) {
         this.event.emit(event);

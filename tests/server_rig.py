@@ -21,6 +21,7 @@ from websockets.typing import Subprotocol
 
 from tactile.messages import (
     JSON_PROTOCOL,
+    MOST_PIXELS,
     MSGPACK_PROTOCOL,
     Answer,
     Append,
@@ -29,9 +30,9 @@ from tactile.messages import (
     Command,
     Contact,
     DisarmDisplay,
-    DrawTexture,
     DisplayDescription,
     Done,
+    DrawTexture,
     EffectInfo,
     Effects,
     EStop,
@@ -104,7 +105,7 @@ class Hand(Client):
     async def request(self, command: Command) -> Answer:
         if self.hands.broken:
             raise ZeroDivisionError
-        if isinstance(command, Select):
+        if isinstance(command, Select | DrawTexture):
             await self.hands.gate.wait()
         await self.hands.pause()
         self.commands.append(command)
@@ -125,7 +126,10 @@ class Hand(Client):
             info = TextureInfo(name=TEXTURE, category="wood", description="", provenance="authored")
             return Textures(textures=(info,))
         elif isinstance(command, DrawTexture):
-            pixels = bytes(k % 256 for k in range(command.columns * command.rows))
+            count = command.columns * command.rows
+            if count > MOST_PIXELS:
+                return Failure(code="invalid_field", message="too many pixels", field="columns")
+            pixels = (bytes(range(256)) * (count // 256 + 1))[:count]
             return TexturePicture(lowest_um=-1.0, highest_um=2.0, pixels=pixels)
         elif isinstance(command, ListEffects):
             return Effects(effects=(EffectInfo(name="tap", description="", seconds=0.02),))
@@ -333,9 +337,15 @@ CONTACT = {
     "time_us": 5, "velocity_mm_s": [80.0, 0.0],
 }  # fmt: skip
 SELECT = {"type": "select", "display": "right", "layers": [{"texture": "wood-oak"}]}
+PICTURE = {
+    "type": "draw_texture", "texture": TEXTURE, "left_mm": 0, "bottom_mm": 0, "pixel_mm": 1,
+    "columns": 4, "rows": 3,
+}  # fmt: skip
+"""Request for a small picture."""
 
 GOOD: dict[str, tuple[dict[str, Any], str]] = {
     "list_textures": ({"type": "list_textures"}, "textures"),
+    "draw_texture": (PICTURE, "texture_picture"),
     "select": (SELECT, "done"),
     "play": ({"type": "play", "display": "right"}, "done"),
     "stop": ({"type": "stop", "display": "right"}, "done"),

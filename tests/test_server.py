@@ -3,6 +3,7 @@
 Figures are counts and orders, not times: what one client does must not show in what others get.
 """
 
+import asyncio
 from typing import Any
 
 import jsonschema  # type: ignore[import-untyped]
@@ -12,6 +13,7 @@ from server_rig import (
     CONTACT,
     GOOD,
     LARGE,
+    PICTURE,
     SELECT,
     connect,
     each_encoding,
@@ -25,6 +27,7 @@ from websockets.typing import Subprotocol
 from tactile.messages import (
     ArmDisplay,
     DisarmDisplay,
+    DrawTexture,
     EStop,
     GetStats,
     Select,
@@ -184,6 +187,33 @@ async def test_a_slow_request_holds_up_neither_contacts_nor_pings_nor_an_estop()
         hands.gate.set()
         assert [(await talker.receive())["id"] for _ in range(2)] == [1, 2]
         assert [type(c) for c in hands.clients[0].commands] == [EStop, Select, GetStats]
+
+
+async def test_pictures_hold_up_no_request_and_more_than_may_wait_are_refused() -> None:
+    async with serving() as (there, hands), talking(there) as talker:
+        hands.gate.clear()
+        for number in range(MOST_REQUESTS + 1):
+            await talker.send(**PICTURE, id=number)
+        busy = await talker.receive()
+        assert (busy["code"], busy["id"]) == ("busy", MOST_REQUESTS)
+        disarmed = await talker.ask(type="disarm", display="right", id=99)
+        assert (disarmed["type"], disarmed["id"]) == ("done", 99)
+        hands.gate.set()
+        answers = [await talker.receive() for _ in range(MOST_REQUESTS)]
+        assert {answer["type"] for answer in answers} == {"texture_picture"}
+        assert {answer["id"] for answer in answers} == set(range(MOST_REQUESTS))
+
+
+async def test_a_client_that_is_gone_has_no_pictures_drawn() -> None:
+    async with serving() as (there, hands):
+        async with talking(there) as talker:
+            hands.gate.clear()
+            await talker.send(**PICTURE)
+            await talker.ask(type="ping", time_us=1)
+        await until(lambda: len(there.site.places) == 0)
+        hands.gate.set()
+        await asyncio.sleep(0)
+        assert DrawTexture not in {type(command) for _, command in hands.log}
 
 
 async def test_more_requests_than_may_wait_are_refused_as_busy_and_an_estop_is_not() -> None:

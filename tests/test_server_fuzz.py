@@ -82,6 +82,7 @@ async def test_whatever_is_sent_nothing_breaks_and_nothing_is_armed(
                 "failure",
                 "done",
                 "textures",
+                "texture_picture",
                 "effects",
                 "appended",
                 "stats",

@@ -25,7 +25,6 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.arrays import Floats
 from tactile.bus.base import BusCounters
 from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.shear_ring import LENGTH, ShearRing

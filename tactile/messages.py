@@ -789,6 +789,9 @@ class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
     put_out_share : float or null
         Share that was put out of what was due since the display was armed, from 0 to 1, as far as
         its amplifiers have reported; null if nothing was due.
+    lead_ms : float or null
+        Time by which drive is sent before it is put out, the part of the latency that bridges
+        delays of the link [ms]; null as long as the device is not open.
     """
 
     display: str
@@ -801,6 +804,7 @@ class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
     counters: dict[str, int]
     estop: int = 0
     put_out_share: float | None = None
+    lead_ms: float | None = None
 
 
 class Failure(Reply, frozen=True, kw_only=True, tag="failure"):

@@ -21,6 +21,7 @@ from msgspec import structs
 from tactile import messages as m
 from tactile import processes
 from tactile.errors import BusError, InputError
+from tactile.playback.commands import DeviceOpened
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.rendering.surface_picture import SurfaceSection, draw_surface
 from tactile.server import client as client_module
@@ -555,6 +556,11 @@ def test_what_is_not_known_is_null_and_not_0(
     with monkeypatch.context() as patch:
         patch.setattr(playing, "memory", PlaybackMemory.create(24))  # no report has come
         assert client_module.snapshot(playing).shear_um == (0.0,) * 24
+        assert program.stats().lead_ms == 0.0  # of a simulated display
+        patch.setattr(playing, "how", replace(playing.how, ahead=0.0125))
+        assert program.stats().lead_ms == 12.5
+        patch.setattr(playing, "how", DeviceOpened(why_not="unplugged"))
+        assert program.stats().lead_ms is None
         patch.setattr(playing, "how", replace(playing.how, carriers=8))
         assert client_module.snapshot(playing).shear_um is None
         assert client_module.snapshot(playing).put_out_share is None

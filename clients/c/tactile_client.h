@@ -866,6 +866,12 @@ typedef struct {
    */
   bool has_put_out_share;
   double put_out_share;
+  /**
+   * Time by which drive is sent before it is put out, the part of the latency that bridges
+   * delays of the link [ms]; null as long as the device is not open.
+   */
+  bool has_lead_ms;
+  double lead_ms;
 } tactile_stats;
 
 /**
@@ -1541,9 +1547,10 @@ static const tactile_field tactile_fields_stats[] = {
     TACTILE_FIELD(stats, counters, integer_map, TACTILE_REQUIRED),
     TACTILE_FIELD(stats, estop, integer, TACTILE_OPTIONAL),
     TACTILE_FLAGGED(stats, put_out_share, number, TACTILE_OPTIONAL, 0.0),
+    TACTILE_FLAGGED(stats, lead_ms, number, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_stats = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_stats), 11,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_stats), 12,
     NULL, tactile_tag_stats, tactile_fields_stats};
 
 static const tactile_shape tactile_shape_code = {

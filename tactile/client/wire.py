@@ -121,6 +121,9 @@ class Stats:
     put_out_share : float or None
         Share that was put out of what was due since the display was armed, from 0 to 1, as far as
         its amplifiers have reported; None if nothing was due.
+    lead : float or None
+        Time by which drive is sent before it is put out [s]; None as long as the device is not
+        open.
     """
 
     display: str
@@ -133,6 +136,7 @@ class Stats:
     counters: dict[str, int]
     estop: int = 0
     put_out_share: float | None = None
+    lead: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

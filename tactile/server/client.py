@@ -473,6 +473,7 @@ class Client:
             counters=r.counters,
             estop=latch.holds,
             put_out_share=_known(r.put_out_share),
+            lead_ms=1e3 * playing.how.ahead if playing.how.sample_rate else None,
         )
 
     _ACTIONS: dict[type, tuple[frozenset[m.Role], Callable[..., Awaitable[Answer]]]] = {  # noqa: RUF012

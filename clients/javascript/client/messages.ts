@@ -633,6 +633,11 @@ export interface StatsReply {
    * its amplifiers have reported; null if nothing was due.
    */
   put_out_share?: number | null;
+  /**
+   * Time by which drive is sent before it is put out, the part of the latency that bridges
+   * delays of the link [ms]; null as long as the device is not open.
+   */
+  lead_ms?: number | null;
 }
 
 /**

@@ -211,6 +211,7 @@ export const texts = {
   link: "Link",
   links: { up: "Up", down: "Down" },
   latency: "Latency to skin",
+  lead: "Lead of the link",
   roundTrip: "Round trip",
   putOut: "Samples",
   fingerLabel: "Finger",

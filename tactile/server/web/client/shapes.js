@@ -100,6 +100,7 @@ export const SHAPES = {
             id: { anyOf: ["integer", "null"] },
             estop: "integer",
             put_out_share: { anyOf: ["number", "null"] },
+            lead_ms: { anyOf: ["number", "null"] },
         },
     },
     Failure: {

@@ -20,6 +20,7 @@ export function showHealth(session) {
         const playing = stats?.state === "armed" ? stats : undefined;
         first.set("link", texts.link, stats ? texts.links[stats.link] : texts.unknown);
         first.set("latency", texts.latency, texts.milliseconds(playing?.latency_ms));
+        first.set("lead", texts.lead, texts.milliseconds(stats?.lead_ms ?? undefined));
         const roundTrip_ms = session.isConnected ? session.connection.roundTrip_ms : undefined;
         first.set("round-trip", texts.roundTrip, texts.milliseconds(roundTrip_ms));
         first.set("put-out", texts.putOut, texts.share(stats?.put_out_share));

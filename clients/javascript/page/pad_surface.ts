@@ -36,6 +36,7 @@ export class PadSurface {
   private readonly caption = byId("pad-surface-scale");
   private parts: DrawnPart[] = [];
   private resting: ReturnType<typeof setTimeout> | undefined;
+  private wasConnected = false;
   private readonly requests = new Newest<Part[]>(
     (parts) => this.request(parts),
     (_, error) => error && showText(this.caption, texts.noPicture(error.message)),
@@ -53,6 +54,10 @@ export class PadSurface {
       this.resting = setTimeout(() => this.renew(), RESTING_MS);
     });
     selection.changed.on(() => this.renew());
+    session.changed.on(({ isConnected }) => {
+      if (isConnected && !this.wasConnected) this.renew(); // what was lost with the connection
+      this.wasConnected = isConnected;
+    });
   }
 
   /** Return the half of the pad in which a position is. */

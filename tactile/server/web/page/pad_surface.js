@@ -15,6 +15,7 @@ export class PadSurface {
         this.selection = selection;
         this.caption = byId("pad-surface-scale");
         this.parts = [];
+        this.wasConnected = false;
         this.requests = new Newest((parts) => this.request(parts), (_, error) => error && showText(this.caption, texts.noPicture(error.message)));
         this.drawing = new Drawing(canvas);
         this.drawing.changed.on(() => {
@@ -23,6 +24,11 @@ export class PadSurface {
             this.resting = setTimeout(() => this.renew(), RESTING_MS);
         });
         selection.changed.on(() => this.renew());
+        session.changed.on(({ isConnected }) => {
+            if (isConnected && !this.wasConnected)
+                this.renew(); // what was lost with the connection
+            this.wasConnected = isConnected;
+        });
     }
     /** Return the half of the pad in which a position is. */
     half(x_mm) {

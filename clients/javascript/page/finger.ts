@@ -39,6 +39,8 @@ export class Finger {
   /** Display that the finger touched, which is lifted although another one is shown then. */
   private display: Display | undefined;
   private latest_us = -Infinity;
+  /** Time from the last event to its handling: a screen may hand its touches over 40 ms late. */
+  private delay_ms = 0;
 
   constructor(private readonly session: Session) {
     setInterval(() => this.repeat(), REPEAT_MS);
@@ -48,6 +50,7 @@ export class Finger {
 
   /** Touch at a position, or move there. */
   touch(x_mm: number, y_mm: number, pressure: number, time_ms: number): void {
+    this.delay_ms = Math.max(0, performance.now() - time_ms);
     if (!this.touching) {
       this.first = this.points;
       this.display = this.session.display;
@@ -113,9 +116,10 @@ export class Finger {
   }
 
   private repeat(): void {
-    const now_ms = performance.now();
-    if (!this.touching || now_ms * 1000 - this.latest_us < REPEAT_MS * 900) return;
-    if (this.send(now_ms)) this.addPoint(now_ms);
+    // Until then the place is known. A later time would make the events that are on their way older.
+    const known_ms = performance.now() - this.delay_ms;
+    if (!this.touching || known_ms * 1000 - this.latest_us < REPEAT_MS * 900) return;
+    if (this.send(known_ms)) this.addPoint(known_ms);
   }
 
   private addPoint(time_ms: number): void {

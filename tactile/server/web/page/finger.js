@@ -36,12 +36,15 @@ export class Finger {
         this.trace = Array.from({ length: MOST_POINTS }, () => new TracePoint());
         this.first = 0;
         this.latest_us = -Infinity;
+        /** Time from the last event to its handling: a screen may hand its touches over 40 ms late. */
+        this.delay_ms = 0;
         setInterval(() => this.repeat(), REPEAT_MS);
         // The contacts of one display are not those of another one.
         session.displayChanged.on(() => this.lift(performance.now()));
     }
     /** Touch at a position, or move there. */
     touch(x_mm, y_mm, pressure, time_ms) {
+        this.delay_ms = Math.max(0, performance.now() - time_ms);
         if (!this.touching) {
             this.first = this.points;
             this.display = this.session.display;
@@ -108,11 +111,12 @@ export class Finger {
         return true;
     }
     repeat() {
-        const now_ms = performance.now();
-        if (!this.touching || now_ms * 1000 - this.latest_us < REPEAT_MS * 900)
+        // Until then the place is known. A later time would make the events that are on their way older.
+        const known_ms = performance.now() - this.delay_ms;
+        if (!this.touching || known_ms * 1000 - this.latest_us < REPEAT_MS * 900)
             return;
-        if (this.send(now_ms))
-            this.addPoint(now_ms);
+        if (this.send(known_ms))
+            this.addPoint(known_ms);
     }
     addPoint(time_ms) {
         const point = this.point(this.points++);

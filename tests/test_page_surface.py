@@ -24,7 +24,7 @@ MM_PER_PIXEL = 25.4 / 96
 """Length of a CSS pixel, by definition [mm]."""
 DARKEST, LIGHTEST = 150, 250
 """Grays of the lowest and highest displacement on a light page."""
-OAK, TOWEL = "wood-oak", "textile-towel"
+OAK, TOWEL, LEATHER = "wood-oak", "textile-towel", "leather-calf"
 DRAWN = """canvas => {
   const { width, height } = canvas;
   const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
@@ -121,8 +121,8 @@ async def test_the_address_selects_a_texture(browser: "Browser", tmp_path: Path)
 # With a host that notes what the page sends
 
 
-class TwoTextureHands(Hands):
-    """A host with two textures."""
+class ThreeTextureHands(Hands):
+    """A host with three textures."""
 
     def connect(self, name: str, **options: Any) -> Any:
         hand = super().connect(name, **options)
@@ -134,7 +134,7 @@ class TwoTextureHands(Hands):
                 return answered
             infos = (
                 TextureInfo(name=name, category="", description="", provenance="authored")
-                for name in (OAK, TOWEL)
+                for name in (OAK, TOWEL, LEATHER)
             )
             return Textures(textures=tuple(infos))
 
@@ -157,7 +157,7 @@ async def test_a_finger_that_crosses_the_middle_meets_the_other_texture(
     browser: "Browser",
 ) -> None:
     """Both stay ready: one of them has the gain 0."""
-    hands = TwoTextureHands()
+    hands = ThreeTextureHands()
     async with serving(hands=hands) as (there, _), visiting(browser, there.page) as visitor:
         await visitor.choose(OAK)
         await visitor.at("beside").select_option(TOWEL)
@@ -181,22 +181,23 @@ async def test_a_finger_that_crosses_the_middle_meets_the_other_texture(
 async def test_a_choice_is_kept_although_the_finger_crosses_while_it_is_prepared(
     browser: "Browser",
 ) -> None:
-    hands = TwoTextureHands()
+    hands = ThreeTextureHands()
     async with serving(hands=hands) as (there, _), visiting(browser, there.page) as visitor:
         await visitor.choose(OAK)
         hands.gate.clear()  # selections wait, as if textures were being prepared
         await visitor.at("beside").select_option(TOWEL)
+        await visitor.page.locator(f'[data-testid=texture][data-name="{LEATHER}"]').click()
         await visitor.page.mouse.move(*await visitor.point(0.3, 0.5))
         await visitor.page.mouse.down()
         await visitor.page.mouse.move(*await visitor.point(0.8, 0.5))
         await until(lambda: hands.contacts > 1)
         hands.gate.set()
-        await until(lambda: hands.gains[-1:] == [{OAK: 0.0, TOWEL: 1.0}])
+        await until(lambda: hands.gains[-1:] == [{LEATHER: 0.0, TOWEL: 1.0}])
         await visitor.page.mouse.up()
 
 
 async def test_a_texture_that_fails_leaves_the_halves_as_they_were(browser: "Browser") -> None:
-    hands = TwoTextureHands()
+    hands = ThreeTextureHands()
     async with serving(hands=hands) as (there, _), visiting(browser, there.page) as visitor:
         await visitor.choose(OAK)
         hands.codes[Select] = "unavailable"
@@ -206,10 +207,13 @@ async def test_a_texture_that_fails_leaves_the_halves_as_they_were(browser: "Bro
         assert f"“{TOWEL}” cannot be played" in await problem.inner_text()
         assert await visitor.at("beside").input_value() == ""
         assert await visitor.at("selected").inner_text() == f"Selected: {OAK}"
+        del hands.codes[Select]
+        await visitor.choose(LEATHER)
+        assert hands.gains[-1] == {LEATHER: 1.0}
 
 
 async def test_a_surface_that_cannot_be_drawn_is_a_sentence(browser: "Browser") -> None:
-    hands = TwoTextureHands()
+    hands = ThreeTextureHands()
     hands.codes[DrawTexture] = "unavailable"
     async with serving(hands=hands) as (there, _), visiting(browser, there.page) as visitor:
         await visitor.choose(OAK)

@@ -9,12 +9,14 @@ from pathlib import Path
 
 from clients.c_header import c_header_text
 from clients.model import api_model
+from clients.shapes import shapes_text
 from clients.typescript import typescript_text
 
 HERE = Path(__file__).parent
 """Folder of the clients."""
 TEMPLATES = {
     "javascript/client/messages.ts": typescript_text,
+    "javascript/client/shapes.ts": shapes_text,
     "c/tactile_client.h": c_header_text,
 }
 """Function from the model to the text of each file."""

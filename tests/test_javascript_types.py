@@ -80,7 +80,7 @@ def test_a_file_that_differs_is_named(
 ) -> None:
     monkeypatch.setattr(generate, "HERE", tmp_path)
     for name in generate.TEMPLATES:
-        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     assert generate.main(["--check"]) == 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "messages.ts differs; run python -m clients.generate"

@@ -13,6 +13,7 @@ import type {
   Command,
   Contact,
   Done,
+  DrawTexture,
   EffectInfo,
   Effects,
   EventMessage,
@@ -20,16 +21,25 @@ import type {
   Pong,
   StatsReply,
   TextureInfo,
+  TexturePicture,
   Textures,
   Welcome,
 } from "./messages.js";
 import { DecodeError, decode, encode } from "./msgpack.js";
 import { ContactPacing } from "./pacing.js";
+import { faultOf, isKnown, isTyped } from "./validation.js";
+import type { Typed } from "./validation.js";
 
 /** Interval between pings, each of which also measures the clocks [ms]. */
 const PING_INTERVAL_MS = 1000;
-/** Time without an answer to a ping after which a connection is given up [µs]. */
+/** Time without an answer to what is answered at once, after which a connection is given up [µs]. */
 const SILENCE_US = 3e6;
+/** Requests that the server answers at once, whatever else it does. */
+const PROMPT: readonly string[] = ["ping", "estop"];
+/** Time in which a new connection must be open, and the server must have welcomed us [µs]. */
+const WELCOME_WITHIN_US = 10e6;
+/** Time after which a question for the state is given up [µs]: it may be asked again. */
+const STATS_WITHIN_US = 10e6;
 /** Limits of the pause before a reconnection [ms]; it doubles each time, less a random half. */
 const FIRST_PAUSE_MS = 100;
 const LONGEST_PAUSE_MS = 5000;
@@ -74,11 +84,22 @@ export type ConnectionState = "connecting" | "connected" | "refused" | "closed";
 interface Replies {
   hello: Welcome;
   list_textures: Textures;
+  draw_texture: TexturePicture;
   list_effects: Effects;
   append: AppendedReply;
   get_stats: StatsReply;
   ping: Pong;
 }
+/** Types of these replies. */
+const REPLIES: { readonly [K in keyof Replies]: Replies[K]["type"] } = {
+  hello: "welcome",
+  list_textures: "textures",
+  draw_texture: "texture_picture",
+  list_effects: "effects",
+  append: "appended",
+  get_stats: "stats",
+  ping: "pong",
+};
 /** A message that the server answers. */
 export type RequestMessage = Exclude<Command, Contact>;
 /** Reply to a request. */
@@ -118,11 +139,12 @@ export class Connection {
   state: ConnectionState = "connecting";
   /** Why there is no connection, in a sentence; empty while there is one. */
   reason = "not connected yet";
-  /** Number of messages of the server that could not be read. */
+  /** Number of messages of the server that are not as the API has them. */
   ignoredMessages = 0;
 
   private readonly url: string;
   private socket: Socket | undefined;
+  private opened_us = 0;
   private refusal = "";
   private waiting = new Map<number, Waiting>();
   private lastId = 0;
@@ -194,6 +216,18 @@ export class Connection {
   /** Return all textures of the server. */
   async textures(): Promise<TextureInfo[]> {
     return (await this.request({ type: "list_textures" })).textures;
+  }
+
+  /**
+   * Return a picture of the surface of a texture, which may take a second.
+   *
+   * @param section Texture, and what to draw of it.
+   */
+  async drawTexture(section: Omit<DrawTexture, "type" | "id">): Promise<TexturePicture> {
+    const picture = await this.request({ type: "draw_texture", ...section });
+    const [wanted, sent] = [section.columns * section.rows, picture.pixels.length];
+    if (sent !== wanted) throw new ClientError(`the picture has ${sent} pixels, not ${wanted}`);
+    return picture;
   }
 
   /** Return all effects of the server. */
@@ -306,6 +340,7 @@ export class Connection {
     }
     socket.binaryType = "arraybuffer";
     this.socket = socket;
+    this.opened_us = now_us();
     const current = () => this.socket === socket;
     socket.onopen = () => current() && this.sayHello();
     socket.onmessage = ({ data }) => current() && this.receive(data);
@@ -355,12 +390,29 @@ export class Connection {
   }
 
   private checkAlive(): void {
-    if (this.state !== "connected") return;
-    const pings = [...this.waiting.values()].filter(({ command }) => command.type === "ping");
-    if (pings.some(({ sent_us }) => now_us() - sent_us > SILENCE_US)) {
-      this.lost("the server does not answer", "connecting");
-    } else {
-      this.sendUnasked({ type: "ping", time_us: now_us() });
+    const now = now_us();
+    const isLate = ({ command, sent_us }: Waiting) =>
+      PROMPT.includes(command.type) && now - sent_us > SILENCE_US;
+    if (this.state === "connecting") {
+      const isOpening = this.socket !== undefined;
+      if (!isOpening || now - this.opened_us < WELCOME_WITHIN_US) return;
+      this.lost(this.refusal || "the server does not answer", "connecting");
+    } else if (this.state === "connected") {
+      this.giveUpStats(now - STATS_WITHIN_US);
+      if ([...this.waiting.values()].some(isLate)) {
+        this.lost("the server does not answer", "connecting");
+      } else {
+        this.sendUnasked({ type: "ping", time_us: now });
+      }
+    }
+  }
+
+  /** Reject questions for the state that are older than a time: their answers may be lost. */
+  private giveUpStats(oldest_us: number): void {
+    for (const [id, { command, sent_us, reject }] of [...this.waiting]) {
+      if (command.type !== "get_stats" || sent_us > oldest_us) continue;
+      this.waiting.delete(id);
+      reject(new ClientError("the server does not answer"));
     }
   }
 
@@ -382,39 +434,74 @@ export class Connection {
     });
   }
 
-  private receive(data: ArrayBuffer): void {
-    const answer = this.decoded(data);
-    if (answer === undefined) return;
+  private receive(data: unknown): void {
+    const message = decoded(data);
+    const fault = message && faultOf(message);
+    if (message === undefined) this.giveUp("the server sends what is no message");
+    else if (fault) this.takeFaulty(message, fault);
+    else this.take(message as unknown as Answer);
+  }
+
+  private take(answer: Answer): void {
     if (answer.type === "telemetry") {
-      for (const listener of [...this.memory(answer.display).listeners.keys()]) {
+      for (const listener of [...(this.memories.get(answer.display)?.listeners.keys() ?? [])]) {
         call(listener, answer);
       }
     } else if (answer.type === "event") {
-      if (answer.kind === "estopped") this.memory(answer.display).estop = answer.estop ?? 0;
-      if (answer.kind === "cleared") this.memory(answer.display).estop = 0;
+      if (answer.kind === "estopped") this.setEstop(answer.display, answer.estop ?? 0);
+      if (answer.kind === "cleared") this.setEstop(answer.display, 0);
       this.notify("event", answer);
     } else if (answer.id === undefined || answer.id === null) {
       if (answer.type === "failure") this.notify("failure", answer);
+      else this.giveUp(`the server sends ${answer.type} without an id`);
     } else {
       this.answered({ ...answer, id: answer.id });
     }
   }
 
-  private decoded(data: ArrayBuffer): Answer | undefined {
-    try {
-      const value = decode(new Uint8Array(data));
-      if (typeof value === "object" && value !== null && "type" in value) return value as Answer;
-    } catch (error) {
-      if (!(error instanceof DecodeError)) throw error;
+  /**
+   * Take a message that is not as the API has it. If it is an answer, its request fails. All others
+   * are ignored, unless a request could wait for them for ever.
+   */
+  private takeFaulty({ type, id }: Typed, fault: string): void {
+    const text = `${type} of the server cannot be read: ${fault}`;
+    const waiting = this.waiting.get(id as number);
+    const { type: asked = "" } = waiting?.command ?? {};
+    if (asked === "hello" || asked === "estop") { // an e-stop is sent again
+      this.giveUp(text);
+    } else if (waiting !== undefined) {
+      this.ignoredMessages += 1;
+      const message = text;
+      this.answered({ type: "failure", id: id as number, code: "internal", message });
+    } else if (isKnown(type) && !["event", "telemetry"].includes(type) && !Number.isInteger(id)) {
+      this.giveUp(text);
+    } else {
+      this.ignoredMessages += 1;
     }
+  }
+
+  /** Connect anew, as an answer may be lost for which a request would wait. */
+  private giveUp(reason: string): void {
     this.ignoredMessages += 1;
-    return undefined;
+    this.lost(reason, "connecting");
+  }
+
+  private setEstop(display: string, estop: number): void {
+    const memory = this.memories.get(display); // those of displays that the welcome had
+    if (memory) memory.estop = estop;
   }
 
   private answered(answer: Exclude<Answer, { type: "telemetry" | "event" }> & { id: number }) {
-    const waiting = this.waiting.get(answer.id);
+    const { id } = answer;
+    const waiting = this.waiting.get(id);
     if (waiting === undefined) return;
-    this.waiting.delete(answer.id);
+    const { type } = waiting.command;
+    const expected = type in REPLIES ? REPLIES[type as keyof Replies] : "done";
+    if (answer.type !== "failure" && answer.type !== expected) {
+      this.takeFaulty({ type: answer.type, id }, `it is no answer to ${type}`);
+      return;
+    }
+    this.waiting.delete(id);
     this.estops.resolve(answer);
     if (answer.type === "failure") {
       waiting.reject(new RequestError(answer));
@@ -431,10 +518,10 @@ export class Connection {
     } else if (answer.type === "pong") {
       this.clock.add(sent_us, answer.server_time_us, now_us());
     } else if (answer.type === "stats") {
-      this.memory(answer.display).estop = answer.estop ?? 0;
+      this.setEstop(answer.display, answer.estop ?? 0);
     } else if (answer.type === "done") {
       for (const [display, estop] of Object.entries(answer.estops ?? {})) {
-        this.memory(display).estop = estop;
+        this.setEstop(display, estop);
       }
       if ("display" in command && command.display) this.memory(command.display).confirm(command);
     }
@@ -459,6 +546,18 @@ export class Connection {
 
   private notify<K extends keyof Listened>(kind: K, value: Listened[K]): void {
     for (const listener of [...this.listeners[kind]]) call(listener, value);
+  }
+}
+
+/** Return a message; undefined for what is none. */
+function decoded(data: unknown): Typed | undefined {
+  if (typeof data === "string") return undefined;
+  try {
+    const value = decode(new Uint8Array(data as ArrayBuffer));
+    return isTyped(value) ? value : undefined;
+  } catch (error) {
+    if (!(error instanceof DecodeError)) throw error;
+    return undefined;
   }
 }
 

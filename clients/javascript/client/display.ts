@@ -40,14 +40,24 @@ export type Effect = Omit<PlayEffect, "type" | "id" | "display">;
 /** One display; get it from `Connection.display`. It stays the same over reconnections. */
 export class Display {
   private position_mm: [number, number] = [0, 0];
+  private latestInfo: DisplayDescription | undefined;
 
-  constructor(private readonly connection: Connection, readonly name: string) {}
+  constructor(private readonly connection: Connection, readonly name: string) {
+    this.latestInfo = this.presentInfo;
+  }
 
-  /** Contactors and limits of the display. Throws if the server has no such display any more. */
+  /**
+   * Contactors and limits of the display; those that it had last if the server has no such display
+   * any more, as after a reconnection to one with another configuration. Throws if it never had.
+   */
   get info(): DisplayDescription {
-    const info = this.connection.welcome?.displays.find(({ name }) => name === this.name);
-    if (info === undefined) throw new ClientError(`no display ${JSON.stringify(this.name)}`);
-    return info;
+    this.latestInfo = this.presentInfo ?? this.latestInfo;
+    if (this.latestInfo) return this.latestInfo;
+    throw new ClientError(`no display ${JSON.stringify(this.name)}`);
+  }
+
+  private get presentInfo(): DisplayDescription | undefined {
+    return this.connection.welcome?.displays.find(({ name }) => name === this.name);
   }
 
   /** Number of the e-stop that holds as far as the server last reported, 0 for none. */

@@ -51,7 +51,7 @@ export class ArrayView {
 
   /** Choose the contactor that is nearest to a point of the drawing. */
   private chooseAt(x: number, y: number): void {
-    if (!this.contactors) return;
+    if (!this.contactors?.all.length) return;
     const distances = this.contactors.all.map(({ x_mm, y_mm }) =>
       Math.hypot(this.x(x_mm) - x, this.y(y_mm) - y),
     );

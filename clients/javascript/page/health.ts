@@ -1,7 +1,7 @@
 import type { StatsReply } from "../client/index.js";
 import { byId, element, setText } from "./dom.js";
 import type { Session } from "./session.js";
-import { counterNames, texts } from "./texts.js";
+import { texts } from "./texts.js";
 
 /** Counters that are shown first, because each count may be felt or is a sign of a fault. */
 const IMPORTANT: readonly string[] = [
@@ -22,7 +22,7 @@ export function showHealth(session: Session): void {
     const stats = session.latestStats;
     // Figures of a display that is not armed are those of when it last was.
     const playing = stats?.state === "armed" ? stats : undefined;
-    first.set("link", texts.link, stats ? texts.links[stats.link] : texts.unknown);
+    first.set("link", texts.link, stats ? texts.linkState(stats.link) : texts.unknown);
     first.set("latency", texts.latency, texts.milliseconds(playing?.latency_ms));
     first.set("lead", texts.lead, texts.milliseconds(stats?.lead_ms ?? undefined));
     const roundTrip_ms = session.isConnected ? session.connection.roundTrip_ms : undefined;
@@ -41,8 +41,8 @@ function owner(stats: StatsReply | undefined): string {
 
 function showCounters(values: Record<string, number>, first: Figures, rest: Figures): void {
   for (const [name, count] of Object.entries(values)) {
-    const label = counterNames[name] ?? name.replace(/_/g, " ");
-    (IMPORTANT.includes(name) ? first : rest).set(name, label, texts.count(count), count > 0);
+    const figures = IMPORTANT.includes(name) ? first : rest;
+    figures.set(name, texts.counter(name), texts.count(count), count > 0);
   }
 }
 

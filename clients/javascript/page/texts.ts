@@ -48,7 +48,7 @@ export const labels = {
 };
 
 /** Names of the counters of `StatsReply` that a user may want to know. */
-export const counterNames: Record<string, string> = {
+const counterNames: Record<string, string> = {
   underruns: "Underruns",
   late_blocks: "Late blocks",
   lost_samples: "Lost samples",
@@ -84,6 +84,8 @@ const eventKinds: Record<string, string> = {
   lost: "playback was lost and starts again",
   textures: "the textures were read again",
 };
+
+const linkStates: Record<string, string> = { up: "Up", down: "Down" };
 
 /** Texts that change, and sentences with values. */
 export const texts = {
@@ -193,7 +195,7 @@ export const texts = {
   listenFailed: (message: string) => `The loudspeaker cannot be used: ${sentence(message)}`,
 
   // Textures and gain
-  provenance: (provenance: string) => provenances[provenance] ?? `Parameters: ${provenance}`,
+  provenance: (provenance: string) => entry(provenances, provenance) ?? `Parameters: ${provenance}`,
   noTextureMatches: (search: string) => `No texture matches “${search}”.`,
   noTextures: (message: string) =>
     `The list of textures could not be read: ${sentence(message)} Reload this page to try again.`,
@@ -209,7 +211,7 @@ export const texts = {
 
   // Health
   link: "Link",
-  links: { up: "Up", down: "Down" },
+  linkState: (state: string) => entry(linkStates, state) ?? state,
   latency: "Latency to skin",
   lead: "Lead of the link",
   roundTrip: "Round trip",
@@ -222,6 +224,7 @@ export const texts = {
     value === undefined ? "–" : `${value.toFixed(value < 10 ? 1 : 0)} ms`,
   share: (share: number | null | undefined) =>
     share === null || share === undefined ? "–" : `${(100 * share).toFixed(1)} % put out`,
+  counter: (name: string) => entry(counterNames, name) ?? name.replace(/_/g, " "),
   count: (value: number) => value.toLocaleString("en"),
 
   // Token
@@ -243,8 +246,13 @@ export const texts = {
     closed: "Connection closed",
   },
   event: (display: string, kind: string, detail: string) =>
-    `${display}: ${eventKinds[kind] ?? kind}${detail ? ` (${detail})` : ""}`,
+    `${display}: ${entry(eventKinds, kind) ?? kind}${detail ? ` (${detail})` : ""}`,
 };
+
+/** Return the entry of a name that a server sent, which may be that of something every object has. */
+function entry(table: Record<string, string>, name: string): string | undefined {
+  return Object.prototype.hasOwnProperty.call(table, name) ? table[name] : undefined;
+}
 
 /** Return a number with one decimal and, below zero, with a minus sign instead of a hyphen. */
 function signed(value: number): string {

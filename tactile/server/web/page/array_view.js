@@ -39,7 +39,7 @@ export class ArrayView {
     }
     /** Choose the contactor that is nearest to a point of the drawing. */
     chooseAt(x, y) {
-        if (!this.contactors)
+        if (!this.contactors?.all.length)
             return;
         const distances = this.contactors.all.map(({ x_mm, y_mm }) => Math.hypot(this.x(x_mm) - x, this.y(y_mm) - y));
         this.choice.choose(distances.indexOf(Math.min(...distances)));

@@ -42,7 +42,7 @@ export const labels = {
     tokenSend: "Connect",
 };
 /** Names of the counters of `StatsReply` that a user may want to know. */
-export const counterNames = {
+const counterNames = {
     underruns: "Underruns",
     late_blocks: "Late blocks",
     lost_samples: "Lost samples",
@@ -75,6 +75,7 @@ const eventKinds = {
     lost: "playback was lost and starts again",
     textures: "the textures were read again",
 };
+const linkStates = { up: "Up", down: "Down" };
 /** Texts that change, and sentences with values. */
 export const texts = {
     title: (display) => (display ? `${display} – tactile` : "tactile"),
@@ -153,7 +154,7 @@ export const texts = {
         `y ${y_mm.toFixed(1)} mm in third octaves from 10 Hz to 1 kHz, and the detection threshold. ${sentence(summary)}`,
     listenFailed: (message) => `The loudspeaker cannot be used: ${sentence(message)}`,
     // Textures and gain
-    provenance: (provenance) => provenances[provenance] ?? `Parameters: ${provenance}`,
+    provenance: (provenance) => entry(provenances, provenance) ?? `Parameters: ${provenance}`,
     noTextureMatches: (search) => `No texture matches “${search}”.`,
     noTextures: (message) => `The list of textures could not be read: ${sentence(message)} Reload this page to try again.`,
     nothingSelected: "No texture is selected.",
@@ -165,7 +166,7 @@ export const texts = {
     gainFailed: (message) => `The gain was not changed: ${sentence(message)}`,
     // Health
     link: "Link",
-    links: { up: "Up", down: "Down" },
+    linkState: (state) => entry(linkStates, state) ?? state,
     latency: "Latency to skin",
     lead: "Lead of the link",
     roundTrip: "Round trip",
@@ -176,6 +177,7 @@ export const texts = {
     anotherTouches: "Another program",
     milliseconds: (value) => value === undefined ? "–" : `${value.toFixed(value < 10 ? 1 : 0)} ms`,
     share: (share) => share === null || share === undefined ? "–" : `${(100 * share).toFixed(1)} % put out`,
+    counter: (name) => entry(counterNames, name) ?? name.replace(/_/g, " "),
     count: (value) => value.toLocaleString("en"),
     // Token
     tokenWanted: "The server wants a token. It is in the file that token_file or a [[token]] table of the " +
@@ -191,8 +193,12 @@ export const texts = {
         refused: "Refused by the server",
         closed: "Connection closed",
     },
-    event: (display, kind, detail) => `${display}: ${eventKinds[kind] ?? kind}${detail ? ` (${detail})` : ""}`,
+    event: (display, kind, detail) => `${display}: ${entry(eventKinds, kind) ?? kind}${detail ? ` (${detail})` : ""}`,
 };
+/** Return the entry of a name that a server sent, which may be that of something every object has. */
+function entry(table, name) {
+    return Object.prototype.hasOwnProperty.call(table, name) ? table[name] : undefined;
+}
 /** Return a number with one decimal and, below zero, with a minus sign instead of a hyphen. */
 function signed(value) {
     return value.toFixed(1).replace("-", "−");

@@ -1,0 +1,226 @@
+/**
+ * Shapes of what a server sends, by which the client checks it; written by
+ * `python -m clients.generate` from the JSON Schema of tactile/messages.py.
+ */
+
+/** Kind of a value. Enumerations are texts: a later server may have more of their values. */
+export type Kind =
+  | "string"
+  | "integer"
+  | "number"
+  | "boolean"
+  | "bytes"
+  | "null"
+  | { readonly list: Kind }
+  | { readonly map: Kind }
+  | { readonly tuple: readonly Kind[] }
+  | { readonly anyOf: readonly Kind[] }
+  | { readonly shape: string };
+
+/** Kinds of the fields of a message, or of a structure in one. */
+export interface Shape {
+  readonly required: Readonly<Record<string, Kind>>;
+  readonly optional: Readonly<Record<string, Kind>>;
+}
+
+/** Shape of each message by its type. */
+export const ANSWERS: Readonly<Record<string, string>> = {
+  welcome: "Welcome",
+  textures: "Textures",
+  texture_picture: "TexturePicture",
+  effects: "Effects",
+  done: "Done",
+  appended: "AppendedReply",
+  pong: "Pong",
+  stats: "StatsReply",
+  failure: "Failure",
+  event: "EventMessage",
+  telemetry: "TelemetryMessage",
+};
+
+/** Shapes by name. */
+export const SHAPES: Readonly<Record<string, Shape>> = {
+  Welcome: {
+    required: {
+      server: "string",
+      version: "integer",
+      session: "string",
+      displays: { list: { shape: "DisplayDescription" } },
+      may_arm: "boolean",
+      time_us: "integer",
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+      roles: { list: "string" },
+      largest_message: "integer",
+      messages_per_second: "integer",
+    },
+  },
+  Textures: {
+    required: {
+      textures: { list: { shape: "TextureInfo" } },
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+    },
+  },
+  TexturePicture: {
+    required: {
+      lowest_um: "number",
+      highest_um: "number",
+      pixels: "bytes",
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+    },
+  },
+  Effects: {
+    required: {
+      effects: { list: { shape: "EffectInfo" } },
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+    },
+  },
+  Done: {
+    required: {
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+      estops: { map: "integer" },
+    },
+  },
+  AppendedReply: {
+    required: {
+      samples_consumed: "integer",
+      buffered_ms: "number",
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+    },
+  },
+  Pong: {
+    required: {
+      time_us: "integer",
+      server_time_us: "integer",
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+    },
+  },
+  StatsReply: {
+    required: {
+      display: "string",
+      state: "string",
+      link: "string",
+      detail: "string",
+      touching: "boolean",
+      owner: "boolean",
+      latency_ms: "number",
+      counters: { map: "integer" },
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+      estop: "integer",
+      put_out_share: { anyOf: ["number", "null"] },
+      lead_ms: { anyOf: ["number", "null"] },
+    },
+  },
+  Failure: {
+    required: {
+      code: "string",
+      message: "string",
+    },
+    optional: {
+      id: { anyOf: ["integer", "null"] },
+      field: "string",
+    },
+  },
+  EventMessage: {
+    required: {
+      display: "string",
+      kind: "string",
+    },
+    optional: {
+      detail: "string",
+      estop: "integer",
+      contactors: { list: "integer" },
+    },
+  },
+  TelemetryMessage: {
+    required: {
+      display: "string",
+      time_us: "integer",
+      state: "string",
+      position_mm: { tuple: ["number", "number"] },
+      velocity_mm_s: { tuple: ["number", "number"] },
+      normal_force_n: "number",
+      shear_um: { anyOf: [{ list: "number" }, "null"] },
+      drive_v: { list: "number" },
+      counters: { map: "integer" },
+    },
+    optional: {
+      put_out_share: { anyOf: ["number", "null"] },
+      finger: { anyOf: [{ shape: "TelemetryFinger" }, "null"] },
+      trace: { anyOf: [{ shape: "TelemetryTrace" }, "null"] },
+      played: { anyOf: [{ shape: "TelemetryTrace" }, "null"] },
+    },
+  },
+  DisplayDescription: {
+    required: {
+      name: "string",
+      contactors_mm: { list: { tuple: ["number", "number"] } },
+      shear_direction_deg: { list: "number" },
+      sample_rate_hz: "number",
+      voltage_limit_v: "number",
+      waveforms: "boolean",
+      latency_ms: "number",
+    },
+    optional: {
+      estop: "integer",
+      latest_estop: "integer",
+      follows: "boolean",
+      threshold_um: { list: { tuple: ["number", "number"] } },
+    },
+  },
+  TextureInfo: {
+    required: {
+      name: "string",
+      category: "string",
+      description: "string",
+      provenance: "string",
+    },
+    optional: {
+    },
+  },
+  EffectInfo: {
+    required: {
+      name: "string",
+      description: "string",
+      seconds: "number",
+    },
+    optional: {
+    },
+  },
+  TelemetryFinger: {
+    required: {
+      touching: { list: "boolean" },
+      stiffness_n_m: { list: "number" },
+      equalizer_error_db: { list: "number" },
+      explained: { list: "boolean" },
+      guarded: { list: "boolean" },
+    },
+    optional: {
+    },
+  },
+  TelemetryTrace: {
+    required: {
+      contactor: "integer",
+      sample_rate_hz: "number",
+      first: "integer",
+      shear_um: "bytes",
+    },
+    optional: {
+    },
+  },
+};

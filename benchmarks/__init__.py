@@ -27,6 +27,8 @@ from benchmarks.library import measure_library
 from benchmarks.maps import measure_maps
 from benchmarks.optimize import measure_optimize
 from benchmarks.page import measure_page
+from benchmarks.page_fuzz import measure_page_fuzz
+from benchmarks.page_position import measure_page_position
 from benchmarks.protocol import measure_protocol
 from benchmarks.realism import measure_realism
 from benchmarks.rendering import measure_bands, measure_grating, measure_place, measure_wood
@@ -71,6 +73,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "travel": measure_travel,
     "latency": measure_latency,
     "page": measure_page,
+    "page-position": measure_page_position,
     "waves": measure_waves,
     "crowd": crowd.measure_crowd,
     "optimize": measure_optimize,
@@ -82,6 +85,7 @@ LONG: dict[str, Benchmark] = {
     "soak": partial(measure_memory, 600),
     "fuzz": measure_fuzz,
     "fuzz-server": measure_fuzz_server,
+    "page-fuzz": measure_page_fuzz,
     "streams": partial(links.measure_streams, links.LONG),
     "latency-long": measure_latency_long,
     "deaths-long": partial(deaths.measure_deaths, deaths.LONG),

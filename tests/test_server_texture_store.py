@@ -50,7 +50,6 @@ class Bench:
         self.ends.append((client, seed))
         return number
 
-
     async def picture(self, client: int, seed: int) -> None:
         """Have a surface drawn, and note when it was."""
         picture = await self.queue.draw(client, OAK, seed, SECTION)

@@ -1,4 +1,4 @@
-"""Tests of pictures of a surface: where they are, what a pixel is, and that it is what is played."""
+"""Tests of pictures of a surface: their place, their pixels, and that they are what is played."""
 
 import numpy as np
 import pytest

@@ -123,7 +123,7 @@ export class Board {
 
   /** Paint a tile with the surface that the server has drawn. */
   paintSurface(index, { pixels }) {
-    this.#paintTile(index, (k) => 0.6 + (0.8 * pixels[k]) / 255);
+    this.#paintTile(index, (k) => 0.5 + pixels[k] / 255);
   }
 
   #paintTile(index, light) {

@@ -87,6 +87,18 @@ exec $ordinary {} "$@"
 """
 """Program that runs the browser without the right to raise its own priority, which users other than
 root do not have. As root, it draws with a nice value of -8, ahead of the server."""
+SURFACES = """() => {
+  const list = document.getElementById("textures").getBoundingClientRect();
+  const isInSight = (canvas) => {
+    const { top, bottom } = canvas.getBoundingClientRect();
+    return bottom > list.top && top < list.bottom;
+  };
+  const pictures = [...document.querySelectorAll("canvas.thumbnail")];
+  const [pad, selected] = ["pad-surface", "selected"].map((id) => document.getElementById(id));
+  const isPadDrawn = selected.textContent.endsWith(pad.dataset.textures || ".");
+  return isPadDrawn && pictures.filter(isInSight).every(({ dataset }) => dataset.drawn);
+}"""
+"""JavaScript that returns whether the selected surface and the small ones in sight are drawn."""
 COUNT_FRAMES = """seconds => new Promise(done => {
   let begun, frames = 0;
   const count = now => {
@@ -207,6 +219,10 @@ class PageWindow:
                 sent = browser.send("Input.dispatchMouseEvent", move | {"x": moved})
                 moves.create_task(sent)
         await self.page.mouse.up()
+
+    async def see_surfaces(self) -> None:
+        """Wait until all surfaces that are in sight are drawn."""
+        await self.page.wait_for_function(SURFACES)
 
     async def frames_per_second(self) -> float:
         """Return how many frames the page draws per second, counted for `FRAMES_SECONDS`."""
@@ -550,7 +566,9 @@ async def _in_turns(server: ServerProcess) -> tuple[Floats, Floats]:
         async with chromium() as browser, AsyncExitStack() as windows:
             for _ in range(WINDOWS):
                 window = await windows.enter_async_context(window_of(browser, page_of(server)))
+                await window.see_surfaces()
             await window.choose(TEXTURE)
+            await window.see_surfaces()
             for _ in range(2):
                 beside += await _blocks_while(display, window.stroke(SECONDS))
         without += await _blocks_while(display, _touch(display))

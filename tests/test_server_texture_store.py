@@ -6,7 +6,9 @@ import threading
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+import numpy as np
 import pytest
+from msgspec import structs
 from server_rig import until
 from virtual_loop import LoopProcess
 from virtual_server import virtual_world
@@ -14,12 +16,13 @@ from virtual_server import virtual_world
 from tactile.display.display import load_display
 from tactile.errors import BusError
 from tactile.playback.commands import DeviceOpened
-from tactile.rendering.surface_picture import SurfaceSection
-from tactile.server import preparation_queue, texture_store
+from tactile.rendering.surface_picture import SurfacePicture, SurfaceSection, draw_surface
+from tactile.server import preparation_queue, preparing, texture_store
 from tactile.server.children import Child
 from tactile.server.preparation_queue import PreparationQueue
 from tactile.server.preparing import Preparation
 from tactile.server.texture_store import MOST_TEXTURES, TextureStore, TooManyPreparationsError
+from tactile.texture.surface import Texture, load_with_source
 
 HOW = DeviceOpened(sample_rate=8000.0)
 OAK = "wood-oak"
@@ -118,6 +121,33 @@ def test_pictures_wait_for_textures_and_clients_take_turns_with_them() -> None:
         assert bench.ends == [(1, 0), (1, 3), (3, 20), (1, 1), (2, 10), (1, 2)]
 
     run(story)
+
+
+def test_a_small_picture_is_drawn_once_until_its_texture_changes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Large pictures and other sections are drawn each time."""
+    drawn: list[SurfaceSection] = []
+
+    def noted(texture: Texture, section: SurfaceSection, *, seed: int) -> SurfacePicture:
+        drawn.append(section)
+        return draw_surface(texture, section, seed=seed)
+
+    monkeypatch.setattr(preparing, "draw_surface", noted)
+    preparing._kept_picture.cache_clear()
+    large = SurfaceSection(0.0, 0.0, 1e-3, 65, 64)
+    requests = [preparing.DrawingRequest(k, OAK, 0, s) for k, s in enumerate([SECTION, large])]
+    first = [preparing.draw(request) for request in requests]
+    again = [preparing.draw(request) for request in requests]
+    assert drawn == [SECTION, large, large]
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.pixels, other.pixels)
+    texture, source = load_with_source(OAK)
+    changed = structs.replace(source, text=source.text + "\n# changed")
+    monkeypatch.setattr(preparing, "load_with_source", lambda name: (texture, changed))
+    preparing.draw(requests[0])
+    assert drawn == [SECTION, large, large, SECTION]
+    preparing._kept_picture.cache_clear()
 
 
 def test_a_picture_that_nobody_waits_for_is_not_drawn() -> None:

@@ -8,6 +8,7 @@ import os
 import pickle
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 
 from tactile.display.display import Display
 from tactile.errors import TactileError
@@ -16,10 +17,14 @@ from tactile.playback.session_orders import TextureDescription, realized
 from tactile.processes import pipes_of_parent, received, send
 from tactile.rendering.surface_picture import SurfacePicture, SurfaceSection, draw_surface
 from tactile.strength.strength import gain_at_usual_speeds
-from tactile.texture.surface import load_with_source
+from tactile.texture.surface import load_texture, load_with_source
 
 NICE = 10
 """Niceness of the process, so that it yields to playback."""
+SMALL = 64 * 64
+"""Maximum size of a picture that is kept, as every page asks for those of its list [pixels]."""
+MOST_KEPT = 256
+"""Maximum number of pictures that are kept."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +162,40 @@ def prepare(request: PreparationRequest) -> tuple[PreparedTexture, TextureDescri
     return prepared, TextureDescription(request.number, request.seed, source, gain)
 
 
+def draw(request: DrawingRequest) -> SurfacePicture:
+    """Draw the surface of a texture; small pictures are kept as long as its file is the same.
+
+    Parameters
+    ----------
+    request : DrawingRequest
+        What to draw.
+
+    Returns
+    -------
+    SurfacePicture
+        The picture.
+
+    Raises
+    ------
+    TactileError
+        If the file of the texture cannot be used.
+    """
+    texture, source = load_with_source(request.texture)
+    section, seed = request.section, request.seed
+    if section.columns * section.rows > SMALL:
+        return draw_surface(texture, section, seed=seed)
+    content = source.text, *source.tables.values()
+    return _kept_picture(request.texture, content, section, seed)
+
+
+@lru_cache(MOST_KEPT)
+def _kept_picture(
+    texture: str, content: tuple[str, ...], section: SurfaceSection, seed: int
+) -> SurfacePicture:
+    """Return the picture of a texture whose file has this content."""
+    return draw_surface(load_texture(texture), section, seed=seed)
+
+
 def answer_to(request: PreparationRequest | DrawingRequest) -> Preparation | Drawing:
     """Prepare or draw a texture.
 
@@ -173,8 +212,7 @@ def answer_to(request: PreparationRequest | DrawingRequest) -> Preparation | Dra
     number = request.number
     try:
         if isinstance(request, DrawingRequest):
-            texture, _ = load_with_source(request.texture)
-            return Drawing(number, draw_surface(texture, request.section, seed=request.seed))
+            return Drawing(number, draw(request))
         prepared, description = prepare(request)
     except (TactileError, OSError) as error:
         answer = Drawing if isinstance(request, DrawingRequest) else Preparation

@@ -89,6 +89,11 @@ export class Session {
     this.subscribe();
   }
 
+  /** Whether something wants telemetry often. */
+  get isHurried(): boolean {
+    return this.hurried.size > 0;
+  }
+
   /** Ask for the state of the display now, for example after an event. */
   async askStats(): Promise<void> {
     const { display } = this;
@@ -132,7 +137,7 @@ export class Session {
   }
 
   private subscribe(): void {
-    const rate_hz = this.hurried.size > 0 ? OFTEN_HZ : SELDOM_HZ;
+    const rate_hz = this.isHurried ? OFTEN_HZ : SELDOM_HZ;
     this.unsubscribe = this.display?.telemetry(rate_hz, this.listener) ?? (() => {});
   }
 

@@ -6,7 +6,10 @@ const PIXELS = 48;
 /** Side of a pixel [mm]: a picture shows 12 mm, about as much as a fingertip covers. */
 const PIXEL_MM = 0.25;
 
-/** Draws a small picture of each texture whose place in the list is in sight, one by one. */
+/**
+ * Draws a small picture of each texture whose place in the list is in sight, one by one, but none
+ * during a stroke, which needs the processor.
+ */
 export class TextureThumbnails {
   private readonly textures = new Map<Element, string>();
   private readonly inSight = new Set<HTMLCanvasElement>();
@@ -14,8 +17,7 @@ export class TextureThumbnails {
   private busy = false;
 
   constructor(private readonly session: Session, list: HTMLElement) {
-    const options = { root: list, rootMargin: "100px" };
-    this.observer = new IntersectionObserver((entries) => this.see(entries), options);
+    this.observer = new IntersectionObserver((entries) => this.see(entries), { root: list });
     session.changed.on(() => void this.drawAll());
   }
 
@@ -50,7 +52,8 @@ export class TextureThumbnails {
     this.busy = true;
     for (;;) {
       const [canvas] = this.inSight;
-      if (canvas === undefined || !this.session.isConnected) break;
+      const { isConnected, isHurried } = this.session;
+      if (canvas === undefined || !isConnected || isHurried) break;
       if (!(await this.draw(canvas))) break; // it is tried again when something changes
       this.inSight.delete(canvas);
       this.observer.unobserve(canvas);

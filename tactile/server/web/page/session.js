@@ -73,6 +73,10 @@ export class Session {
             this.hurried.delete(what);
         this.subscribe();
     }
+    /** Whether something wants telemetry often. */
+    get isHurried() {
+        return this.hurried.size > 0;
+    }
     /** Ask for the state of the display now, for example after an event. */
     async askStats() {
         const { display } = this;
@@ -121,7 +125,7 @@ export class Session {
         void this.askStats();
     }
     subscribe() {
-        const rate_hz = this.hurried.size > 0 ? OFTEN_HZ : SELDOM_HZ;
+        const rate_hz = this.isHurried ? OFTEN_HZ : SELDOM_HZ;
         this.unsubscribe = this.display?.telemetry(rate_hz, this.listener) ?? (() => { });
     }
     takeEvent(event) {

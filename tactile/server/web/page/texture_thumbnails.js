@@ -3,15 +3,17 @@ import { surfaceImage } from "./surface_image.js";
 const PIXELS = 48;
 /** Side of a pixel [mm]: a picture shows 12 mm, about as much as a fingertip covers. */
 const PIXEL_MM = 0.25;
-/** Draws a small picture of each texture whose place in the list is in sight, one by one. */
+/**
+ * Draws a small picture of each texture whose place in the list is in sight, one by one, but none
+ * during a stroke, which needs the processor.
+ */
 export class TextureThumbnails {
     constructor(session, list) {
         this.session = session;
         this.textures = new Map();
         this.inSight = new Set();
         this.busy = false;
-        const options = { root: list, rootMargin: "100px" };
-        this.observer = new IntersectionObserver((entries) => this.see(entries), options);
+        this.observer = new IntersectionObserver((entries) => this.see(entries), { root: list });
         session.changed.on(() => void this.drawAll());
     }
     /** Return the canvas on which a texture will be drawn. */
@@ -45,7 +47,8 @@ export class TextureThumbnails {
         this.busy = true;
         for (;;) {
             const [canvas] = this.inSight;
-            if (canvas === undefined || !this.session.isConnected)
+            const { isConnected, isHurried } = this.session;
+            if (canvas === undefined || !isConnected || isHurried)
                 break;
             if (!(await this.draw(canvas)))
                 break; // it is tried again when something changes

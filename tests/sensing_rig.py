@@ -18,10 +18,16 @@ def fingers(logarithms: Floats) -> Fingers:
 
 
 def random_loads(count: int, seed: int = 0) -> Floats:
-    """Draw the logarithms (count, 4) of loads from the population."""
+    """Draw the logarithms (count, 4) of loads from the population.
+
+    The symmetric root of the covariance is unique. Singular vectors are not, as three of its values
+    are equal, and numpy's own draw by them differs between processors.
+    """
     population = Population.assumed()
-    rng = np.random.default_rng(seed)
-    return rng.multivariate_normal(population.mean, population.covariance, count)
+    values, vectors = np.linalg.eigh(population.covariance)
+    root = (vectors * np.sqrt(values)) @ vectors.T
+    drawn = np.random.default_rng(seed).standard_normal((count, len(root)))
+    return np.asarray(population.mean + drawn @ root)
 
 
 def tolerant_plant(logarithms: Floats, seed: int = 1) -> SensingPlant:

@@ -116,10 +116,18 @@ def description(name: str = NAME) -> m.DisplayDescription:
 # Correct messages
 
 
+def trace(rng: random.Random, contactor: int) -> m.TelemetryTrace:
+    """Return a correct trace of a contactor."""
+    shear = [rng.gauss(0, 2) for _ in range(rng.choice(TRACES))]
+    return m.TelemetryTrace(
+        contactor=contactor, sample_rate_hz=RATE, first=rng.randrange(10**6),
+        shear_um=struct.pack(f"<{len(shear)}f", *shear),
+    )  # fmt: skip
+
+
 def telemetry(rng: random.Random, state: str, contactor: int) -> Plain:
     """Return correct telemetry with a state, and with the trace of a contactor."""
     loads = COLUMNS**2
-    shear = [rng.gauss(0, 2) for _ in range(rng.choice(TRACES))]
     return plain(
         m.TelemetryMessage(
             display=NAME, time_us=1, state=state, position_mm=(1.0, 2.0), velocity_mm_s=(80.0, 0.0),
@@ -131,10 +139,8 @@ def telemetry(rng: random.Random, state: str, contactor: int) -> Plain:
                 equalizer_error_db=(0.5,) * loads, explained=(True,) * loads,
                 guarded=(False,) * loads,
             ),
-            trace=m.TelemetryTrace(
-                contactor=contactor, sample_rate_hz=RATE, first=rng.randrange(10**6),
-                shear_um=struct.pack(f"<{len(shear)}f", *shear),
-            ),
+            trace=trace(rng, contactor),
+            played=trace(rng, contactor),
         )
     )  # fmt: skip
 
@@ -144,7 +150,7 @@ def stats(state: Any, detail: str = "") -> m.StatsReply:
     return m.StatsReply(
         display=NAME, state=state, link="up", detail=detail, touching=True, owner=False,
         latency_ms=7.0, counters={"underruns": 3, "blocks": 4711}, put_out_share=0.995,
-        estop=5 if state == "estopped" else 0,
+        estop=5 if state == "estopped" else 0, lead_ms=12.5,
     )  # fmt: skip
 
 

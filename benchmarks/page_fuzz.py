@@ -70,8 +70,8 @@ class FuzzedPage(NamedTuple):
         Returns
         -------
         int
-            Number of messages that certainly came to the page: those before the last one of each
-            batch that ended no connection before it.
+            Number of messages in batches that were sent to their end. After one that made the page
+            connect anew, it drops what is still on its way.
         """
         self.server.is_hostile = True
         taken = 0

@@ -242,7 +242,7 @@ async def arm_again(window: PageWindow) -> None:
 
 
 async def stroke(window: PageWindow, wanted: WantedStroke) -> dict[str, Floats]:
-    """PointerStroke over the pad to and fro.
+    """Stroke over the pad to and fro.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ async def stroke(window: PageWindow, wanted: WantedStroke) -> dict[str, Floats]:
 
 
 def browse(url: str, file: str, wanted: list[tuple[str, float, float]]) -> None:
-    """PointerStroke with the page of the server, and store what the page logged.
+    """Stroke with the page of the server, and store what the page logged.
 
     Parameters
     ----------
@@ -537,7 +537,7 @@ def errors_of(stroke: PointerStroke, played: PlayedPosition) -> StrokeErrors:
     Parameters
     ----------
     stroke : PointerStroke
-        PointerStroke of the pointer.
+        Stroke of the pointer.
     played : PlayedPosition
         Position that was played.
 
@@ -588,7 +588,7 @@ def position_figures() -> Iterator[Figure]:
 
 
 def strokes_played(wanted: Sequence[WantedStroke]) -> list[tuple[PointerStroke, StrokeErrors]]:
-    """PointerStroke over the page of a server that plays on the C amplifier.
+    """Stroke over the page of a server that plays on the C amplifier.
 
     Parameters
     ----------

@@ -356,6 +356,8 @@ def web_page(path: Path) -> None:
         window = browser.new_page(viewport={"width": 1280, "height": 800}, device_scale_factor=1.5)
         window.goto(address)
         window.locator("[data-name=wood-oak]").click()
+        window.wait_for_selector("#pad-surface[data-textures=wood-oak]")
+        window.wait_for_selector("[data-name=wood-pine-sanded] canvas[data-drawn]")  # the last one
         window.get_by_test_id("arm").click()
         window.get_by_test_id("arm-confirm").click()
         window.wait_for_selector("[data-state=armed]")

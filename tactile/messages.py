@@ -243,7 +243,7 @@ class DrawTexture(Request, frozen=True, kw_only=True, tag="draw_texture"):
     bottom_mm : float
         Coordinate y of the lower edge [mm].
     pixel_mm : float
-        Side of a pixel, which is the mean over its area [mm].
+        Side of a pixel [mm]; a pixel is the mean over its area.
     columns : int
         Number of pixels along x.
     rows : int

@@ -239,15 +239,18 @@ def test_live_opens_the_page_with_the_texture(tmp_path: Path) -> None:
         [sys.executable, "-m", "tactile", "show", "wood-oak", "--live"],
         stdout=subprocess.PIPE, text=True, env=os.environ | folders | {"BROWSER": str(browser)},
     ) as process:  # fmt: skip
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        url = line.split()[0]
-        assert "shows wood-oak on a simulated display" in line
-        assert url.endswith("/#texture=wood-oak")
-        assert 'data-testid="pad"' in httpx.get(url).text
-        end = time.monotonic() + PATIENCE
-        while not opened.exists() and time.monotonic() < end:
-            time.sleep(0.05)
-        assert opened.read_text("utf-8") == f"{url}\n"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            url = line.split()[0]
+            assert "shows wood-oak on a simulated display" in line
+            assert url.endswith("/#texture=wood-oak")
+            assert 'data-testid="pad"' in httpx.get(url, timeout=PATIENCE).text
+            end = time.monotonic() + PATIENCE
+            while not opened.exists() and time.monotonic() < end:
+                time.sleep(0.05)
+            assert opened.read_text("utf-8") == f"{url}\n"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE) == 0
+        finally:
+            process.kill()

@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.ci, pytest.mark.usefixtures("patient")]
 
 MM_PER_PIXEL = 25.4 / 96
 """Length of a CSS pixel, by definition [mm]."""
-DARKEST, LIGHTEST = 150, 250
+DARKEST, LIGHTEST = 176, 250
 """Grays of the lowest and highest displacement on a light page."""
 OAK, TOWEL, LEATHER = "wood-oak", "textile-towel", "leather-calf"
 DRAWN = """canvas => {
@@ -176,6 +176,30 @@ async def test_a_finger_that_crosses_the_middle_meets_the_other_texture(
         await mouse.up()
         assert hands.gains[2:] == [{OAK: 0.0, TOWEL: 1.0}, {OAK: 1.0, TOWEL: 0.0}]
         assert visitor.mistakes == []
+
+
+async def test_a_display_that_is_shown_again_plays_the_half_that_the_finger_was_in(
+    browser: "Browser",
+) -> None:
+    """Cross the middle on another display meanwhile."""
+    hands = ThreeTextureHands()
+    async with serving(hands=hands) as (there, _), visiting(browser, there.page) as visitor:
+        choice = visitor.page.locator("#display-choice")
+        for display in ("right", "left"):
+            await choice.select_option(display)
+            await visitor.choose(OAK)
+            await visitor.at("beside").select_option(TOWEL)
+            await until(lambda: hands.gains[-1:] == [{OAK: 1.0, TOWEL: 0.0}])
+        await visitor.page.mouse.move(*await visitor.point(0.3, 0.5))
+        await visitor.page.mouse.down()
+        await visitor.page.mouse.move(*await visitor.point(0.8, 0.5))
+        await until(lambda: hands.gains[-1] == {OAK: 0.0, TOWEL: 1.0})
+        await visitor.page.mouse.up()
+        before = len(hands.gains)
+        await choice.select_option("right")
+        await until(lambda: len(hands.gains) > before)
+        selected = [command for _, command in hands.log if isinstance(command, Select)]
+        assert (selected[-1].display, hands.gains[-1]) == ("right", {OAK: 0.0, TOWEL: 1.0})
 
 
 async def test_a_choice_is_kept_although_the_finger_crosses_while_it_is_prepared(

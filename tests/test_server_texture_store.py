@@ -134,7 +134,7 @@ def test_a_small_picture_is_drawn_once_until_its_texture_changes(
         return draw_surface(texture, section, seed=seed)
 
     monkeypatch.setattr(preparing, "draw_surface", noted)
-    preparing._kept_picture.cache_clear()
+    preparing.KEPT.clear()
     large = SurfaceSection(0.0, 0.0, 1e-3, 65, 64)
     requests = [preparing.DrawingRequest(k, OAK, 0, s) for k, s in enumerate([SECTION, large])]
     first = [preparing.draw(request) for request in requests]
@@ -147,7 +147,11 @@ def test_a_small_picture_is_drawn_once_until_its_texture_changes(
     monkeypatch.setattr(preparing, "load_with_source", lambda name: (texture, changed))
     preparing.draw(requests[0])
     assert drawn == [SECTION, large, large, SECTION]
-    preparing._kept_picture.cache_clear()
+    assert len(preparing.KEPT) == 2
+    monkeypatch.setattr(preparing, "MOST_KEPT", 2)
+    preparing.draw(preparing.DrawingRequest(9, OAK, 5, SECTION))
+    assert len(preparing.KEPT) == 2
+    preparing.KEPT.clear()
 
 
 def test_a_picture_that_nobody_waits_for_is_not_drawn() -> None:

@@ -156,6 +156,13 @@ class Headset:
         page.on("pageerror", lambda error: self.mistakes.append(str(error)))
         page.on("console", lambda m: self.mistakes.append(m.text) if m.type == "error" else None)
 
+    async def arm(self) -> None:
+        """Press the button until the display is armed, as it is disarmed if it is held up."""
+        async with asyncio.timeout(PATIENCE_S):
+            while "armed" not in (await self.page.inner_text("#status")).split(", ")[0].split():
+                await self.page.evaluate("() => document.getElementById('arm').click()")
+                await asyncio.sleep(0.1)
+
     async def shows(self, text: str) -> None:
         """Wait until the status on the page, or a part of it, begins with a text."""
         await self.page.wait_for_function(SHOWS, arg=text)
@@ -509,8 +516,7 @@ async def test_a_stroke_drives_the_display_until_a_squeeze_stops_it(
         aio.connect(daemon.url) as display,
     ):
         await headset.shows("disarmed")
-        await headset.page.click("#arm")
-        await headset.shows("armed")
+        await headset.arm()
         await headset.page.click("#immersive-vr")
         strongest, k = 0.0, 0
         stream = display.telemetry(rate=60, timeout=PATIENCE_S)
@@ -540,8 +546,7 @@ async def test_a_server_that_goes_is_shown_and_comes_back_disarmed(
         wearing(browser, emulator, origin, socket_of(daemon)) as headset,
     ):
         await headset.shows("disarmed")
-        await headset.page.click("#arm")
-        await headset.shows("armed")
+        await headset.arm()
         await headset.page.click("#immersive-vr")
         await headset.put(-200.0, 0.0, 5.0)
         await headset.shows("on wood-oak")

@@ -294,7 +294,7 @@ typedef struct {
   double left_mm;
   /** Coordinate y of the lower edge [mm]. */
   double bottom_mm;
-  /** Side of a pixel, which is the mean over its area [mm]. */
+  /** Side of a pixel [mm]; a pixel is the mean over its area. */
   double pixel_mm;
   /** Number of pixels along x. */
   int64_t columns;

@@ -10,19 +10,38 @@ const EDGE_MM = 3;
 const COLORS = { armed: "#00695c", disarmed: "#37474f", problem: "#b00020" };
 
 const element = (id) => document.getElementById(id);
-const gl = document.createElement("canvas").getContext("webgl2", { xrCompatible: true });
-const board = new Board(gl);
 const connection = connect({ url: SERVER, client: "webxr" });
 
 let display; // of the server, once it is there
-let state = "disarmed"; // of the display
+let state = "unknown"; // of the display
 let floor; // reference space of the session
 let finger = ""; // what the hand does, as a text
 let touching; // input source that touches the board
 let last_us = 0; // time of the last contact
 let tile; // index of the selected tile
 
+/** Wait for a request that a person made, and show why it failed. */
+async function request(promise) {
+  const problem = await promise.then(() => "", (error) => error.message);
+  element("problem").textContent = problem;
+}
+
+/** Wait for what nobody pressed a button for; it hides no problem of a button. */
+async function follow(promise) {
+  await promise.catch((error) => (element("problem").textContent = error.message));
+}
+
+// The e-stop first, so that it works whatever happens after it
+
+const estop = () => request((display ?? connection).estop()); // without a server it is sent later
+element("estop").onclick = estop;
+addEventListener("keydown", ({ key }) => key === "Escape" && estop());
+
 // The page
+
+const gl = document.createElement("canvas").getContext("webgl2", { xrCompatible: true });
+if (!gl) element("problem").textContent = "this browser has no WebGL 2, which the board needs";
+const board = new Board(gl);
 
 /** Show what is the case on the page and on the board. */
 function show() {
@@ -41,15 +60,6 @@ function show() {
   board.show(text, color);
 }
 
-/** Wait for a request, and show why it failed. */
-async function request(promise) {
-  const problem = await promise.then(() => "", (error) => error.message);
-  element("problem").textContent = problem;
-}
-
-const estop = () => request((display ?? connection).estop()); // without a server it is sent later
-element("estop").onclick = estop;
-addEventListener("keydown", ({ key }) => key === "Escape" && estop());
 element("arm").onclick = () => request(display.arm());
 element("disarm").onclick = () => request(display.disarm());
 element("clear").onclick = () => request(display.clear());
@@ -61,16 +71,25 @@ if (!navigator.xr) element("problem").textContent = "this browser has no WebXR h
 
 // The server
 
-connection.on("state", show);
+connection.on("state", () => {
+  const isThere = connection.displays.some(({ name }) => name === display?.name);
+  if (connection.state !== "connected" || !isThere) state = "unknown";
+  if (connection.state === "connected") {
+    tile = undefined; // select it again, whatever was missed
+    follow(paintSurfaces());
+  }
+  show();
+});
 show();
-connection.ready().then(() => {
-  display = connection.display();
-  request(paintSurfaces());
-  display.telemetry(10, (telemetry) => {
-    state = telemetry.state;
-    show();
-  });
-}, show);
+follow(
+  connection.ready().then(() => {
+    display = connection.display();
+    display.telemetry(10, (telemetry) => {
+      state = telemetry.state;
+      show();
+    });
+  }),
+);
 
 /** Paint the tiles with their surfaces, as the finger meets them there. */
 async function paintSurfaces() {
@@ -88,7 +107,7 @@ async function enter(mode) {
   });
   session.onend = () => {
     lift("");
-    if (display) request(display.disarm()); // nobody sees the board any more
+    if (display) follow(display.disarm()); // nobody sees the board any more
   };
   session.onvisibilitychange = () => session.visibilityState !== "visible" && lift("paused");
   session.onsqueezestart = estop;
@@ -137,5 +156,5 @@ function select(x) {
   const place = (x + WIDTH_MM / 2) / TILE_MM;
   if (Math.abs(place - tile - 0.5) < 0.5 + EDGE_MM / TILE_MM) return;
   tile = Math.min(Math.floor(place), TILES.length - 1);
-  request(display.select(TILES[tile].texture));
+  follow(display.select(TILES[tile].texture));
 }

@@ -55,8 +55,9 @@ def run(
 
     if live:
         given = {"--speed-mm-s": speed_mm_s, "--plot": plot, "--json": as_json or None}
-        for option in (name for name, value in given.items() if value is not None):
-            raise InputError(f"{option} cannot be used with --live, which shows a page")
+        refused = [option for option, value in given.items() if value is not None]
+        if refused:
+            raise InputError(f"{refused[0]} cannot be used with --live, which shows a page")
         _show_live(texture, display)
         return
     if is_effect(texture):

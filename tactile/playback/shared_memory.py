@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from tactile.bus.base import BusCounters
 from tactile.playback.followed_finger import FollowedFinger
-from tactile.playback.shear_ring import LENGTH, ShearRing
+from tactile.playback.shear_ring import LENGTH, NUMBER, ShearRing
 from tactile.tracking.finger_sample import FingerSample, rounded
 
 CONTACTS = 256
@@ -81,8 +81,6 @@ class PlaybackCounters(BusCounters):
 
 COUNTERS = tuple(counter.name for counter in fields(PlaybackCounters))
 """Names of the counters, in the order of the report."""
-NUMBER = struct.Struct("<Q")
-"""Format of a count."""
 CONTACT = struct.Struct("<QQddddd?dd")
 """Format of an entry of the ring of contacts: its number, the client, and a `FingerSample`, in
 which a flag tells whether there is a velocity."""

@@ -14,7 +14,7 @@ from tactile.arrays import Floats, Singles
 LENGTH = 4096
 """Length of a ring: half a second at 8 kHz [samples]."""
 NUMBER = struct.Struct("<Q")
-"""Format of the number of samples."""
+"""Format of a count in shared memory."""
 
 
 class ShearRing:

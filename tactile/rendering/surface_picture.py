@@ -14,8 +14,8 @@ from tactile.texture.descriptor import Events
 from tactile.texture.surface import Partials, Surface, Texture, envelope_scale
 
 FINER = 3
-"""Number of places along each side of a pixel that it is the mean of, so that waves shorter than
-two pixels fade instead of making false patterns."""
+"""Number of places along each side of a pixel over which displacement is averaged, so that waves
+shorter than two pixels fade instead of making false patterns."""
 CLIPPED = 0.5
 """Share of the pixels that is clipped at either end, so that few high events do not take all
 contrast (assumed) [%]."""

@@ -434,6 +434,8 @@ class Client:
         before = self._telemetry.pop(name, None)
         if before is not None:
             before.cancel()
+        else:
+            self._traced.pop(name, None)  # what was played since an earlier one has ended is old
         if command.rate_hz > 0:
             sending = self._send_telemetry(name, 1 / command.rate_hz, command.contactor)
             self._telemetry[name] = start_task(sending)

@@ -41,6 +41,11 @@ class Job:
     clients: set[int]
     answer: "asyncio.Future[Any]"
 
+    @property
+    def done(self) -> str:
+        """What is done with the texture, for messages: "prepared" or "drawn"."""
+        return "drawn" if isinstance(self.request, preparing.DrawingRequest) else "prepared"
+
 
 class Turns:
     """Jobs that wait, of which those of different clients take turns."""
@@ -188,7 +193,7 @@ class PreparationQueue:
                 assert self._child is not None
                 self._child.send(job.request)
             except (OSError, BusError) as error:  # no descriptor or memory left
-                job.answer.set_exception(BusError(f"no texture can be prepared: {error}"))
+                job.answer.set_exception(BusError(f"no texture can be {job.done}: {error}"))
                 continue
             self._job = job
             self._timeout = asyncio.get_running_loop().call_later(LONGEST, self._give_up, job)
@@ -221,7 +226,7 @@ class PreparationQueue:
     def _give_up(self, job: Job) -> None:
         """Give up a texture whose process hangs."""
         self._kill()
-        self._finish(f"texture {job.request.texture} was not prepared within {LONGEST:g} s")
+        self._finish(f"texture {job.request.texture} was not {job.done} within {LONGEST:g} s")
         self._start_next()
 
     def _kill(self) -> None:

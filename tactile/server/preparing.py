@@ -6,9 +6,9 @@ the server only passes it on.
 
 import os
 import pickle
+from collections.abc import Hashable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 
 from tactile.display.display import Display
 from tactile.errors import TactileError
@@ -17,7 +17,7 @@ from tactile.playback.session_orders import TextureDescription, realized
 from tactile.processes import pipes_of_parent, received, send
 from tactile.rendering.surface_picture import SurfacePicture, SurfaceSection, draw_surface
 from tactile.strength.strength import gain_at_usual_speeds
-from tactile.texture.surface import load_texture, load_with_source
+from tactile.texture.surface import load_with_source
 
 NICE = 10
 """Niceness of the process, so that it yields to playback."""
@@ -25,6 +25,9 @@ SMALL = 64 * 64
 """Maximum size of a picture that is kept, as every page asks for those of its list [pixels]."""
 MOST_KEPT = 256
 """Maximum number of pictures that are kept."""
+KEPT: dict[tuple[Hashable, ...], SurfacePicture] = {}
+"""Small pictures by what they show and the content of the texture's file, the last ones at the
+end."""
 
 
 @dataclass(frozen=True)
@@ -184,16 +187,14 @@ def draw(request: DrawingRequest) -> SurfacePicture:
     section, seed = request.section, request.seed
     if section.columns * section.rows > SMALL:
         return draw_surface(texture, section, seed=seed)
-    content = source.text, *source.tables.values()
-    return _kept_picture(request.texture, content, section, seed)
-
-
-@lru_cache(MOST_KEPT)
-def _kept_picture(
-    texture: str, content: tuple[str, ...], section: SurfaceSection, seed: int
-) -> SurfacePicture:
-    """Return the picture of a texture whose file has this content."""
-    return draw_surface(load_texture(texture), section, seed=seed)
+    key = request.texture, source.text, *source.tables.values(), section, seed
+    picture = KEPT.pop(key, None)
+    if picture is None:
+        picture = draw_surface(texture, section, seed=seed)
+    KEPT[key] = picture  # used last, dropped last
+    if len(KEPT) > MOST_KEPT:
+        del KEPT[next(iter(KEPT))]
+    return picture
 
 
 def answer_to(request: PreparationRequest | DrawingRequest) -> Preparation | Drawing:

@@ -31,11 +31,13 @@ log = logging.getLogger("tactile.server")
 FINISH_WITHIN = 1.0
 """Time in which what makes displays safe must be done after its client has left [s]."""
 MOST_REQUESTS = 32
-"""Maximum number of requests that one client may have queued."""
+"""Maximum number of requests, of e-stops and of pictures, each, for which a client may wait."""
 
 
 class Requests:
-    """Requests of one client, carried out one after the other, independently of its contacts.
+    """Requests of one client, carried out independently of its contacts.
+
+    E-stops and pictures are begun at once, all others one after the other.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ export interface DrawTexture {
   left_mm: number;
   /** Coordinate y of the lower edge [mm]. */
   bottom_mm: number;
-  /** Side of a pixel, which is the mean over its area [mm]. */
+  /** Side of a pixel [mm]; a pixel is the mean over its area. */
   pixel_mm: number;
   /** Number of pixels along x. */
   columns: number;

@@ -116,7 +116,8 @@ export class Finger {
   }
 
   private repeat(): void {
-    // Until then the place is known. A later time would make the events that are on their way older.
+    // The place is known up to the last event that was handled. With a later time, the server would
+    // drop the events that are still on their way.
     const known_ms = performance.now() - this.delay_ms;
     if (!this.touching || known_ms * 1000 - this.latest_us < REPEAT_MS * 900) return;
     if (this.send(known_ms)) this.addPoint(known_ms);

@@ -88,14 +88,14 @@ export class PadSurface {
   }
 
   private async request(parts: Part[]): Promise<void> {
-    const drawn: DrawnPart[] = [];
     for (const part of parts) {
-      const known = this.parts.find((each) => samePart(each, part));
-      drawn.push(known ?? (await this.requestPart(part)));
+      if (this.parts.some((each) => samePart(each, part))) continue;
+      const drawn = await this.requestPart(part);
+      if (!sameParts(parts, this.wantedParts())) return;
+      const others = this.parts.filter(({ left }) => left !== part.left);
+      this.parts = [...others, drawn].sort((a, b) => a.left - b.left);
+      this.draw();
     }
-    if (!sameParts(parts, this.wantedParts())) return;
-    this.parts = drawn;
-    this.draw();
   }
 
   private async requestPart(part: Part): Promise<DrawnPart> {
@@ -120,7 +120,13 @@ export class PadSurface {
       const { picture, columns, side, left } = part;
       const image = surfaceImage(picture, columns, isDark() ? "dark" : "light");
       const top = height - image.height * side;
+      const wanted = this.wantedParts().find((part) => part.left === left);
+      context.save();
+      context.beginPath(); // one that was drawn for the whole pad ends in its middle now
+      context.rect(left, 0, wanted?.width ?? 0, height);
+      context.clip();
       context.drawImage(image, left, top, image.width * side, image.height * side);
+      context.restore();
     }
     if (this.selection.isDivided) {
       context.fillStyle = colors.text;

@@ -36,13 +36,21 @@ export class Selection {
   private readonly played = new Map<string, Halves>();
   private readonly wishes = new Map<string, Wish>();
   private half: Half = "left";
+  private wasConnected = false;
   private readonly requests = new Newest<Wish>(
     (wish) => this.request(wish),
     (wish, error) => this.settle(wish, error),
   );
 
   constructor(private readonly session: Session) {
-    session.displayChanged.on(() => this.changed.emit(this));
+    session.displayChanged.on(() => {
+      this.changed.emit(this);
+      this.playHalf();
+    });
+    session.changed.on(({ isConnected }) => {
+      if (isConnected && !this.wasConnected) this.playHalf();
+      this.wasConnected = isConnected;
+    });
     session.reopened.on(() => {
       this.played.clear(); // the server forgot it with the connection
       this.wishes.clear();
@@ -74,6 +82,11 @@ export class Selection {
   enter(half: Half): void {
     if (half === this.half) return;
     this.half = half;
+    this.playHalf();
+  }
+
+  /** Have the display play what the half has, also if it missed that or was not shown then. */
+  private playHalf(): void {
     const wish = this.wishes.get(this.session.display?.name ?? "");
     if (wish?.halves.right) this.requests.send(wish);
   }

@@ -84,6 +84,7 @@ export class Session {
 
   /** Get telemetry often as long as something wants it: many pages may only watch. */
   hurry(what: string, isWanted: boolean): void {
+    if (this.hurried.has(what) === isWanted) return;
     if (isWanted) this.hurried.add(what);
     else this.hurried.delete(what);
     this.subscribe();

@@ -8,7 +8,7 @@ const PIXEL_MM = 0.25;
 
 /**
  * Draws a small picture of each texture whose place in the list is in sight, one by one, but none
- * during a stroke, which needs the processor.
+ * during a stroke or while a contactor is listened to, which need the processor.
  */
 export class TextureThumbnails {
   private readonly textures = new Map<Element, string>();

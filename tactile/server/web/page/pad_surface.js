@@ -58,15 +58,16 @@ export class PadSurface {
         ];
     }
     async request(parts) {
-        const drawn = [];
         for (const part of parts) {
-            const known = this.parts.find((each) => samePart(each, part));
-            drawn.push(known ?? (await this.requestPart(part)));
+            if (this.parts.some((each) => samePart(each, part)))
+                continue;
+            const drawn = await this.requestPart(part);
+            if (!sameParts(parts, this.wantedParts()))
+                return;
+            const others = this.parts.filter(({ left }) => left !== part.left);
+            this.parts = [...others, drawn].sort((a, b) => a.left - b.left);
+            this.draw();
         }
-        if (!sameParts(parts, this.wantedParts()))
-            return;
-        this.parts = drawn;
-        this.draw();
     }
     async requestPart(part) {
         const side = Math.max(1, Math.sqrt((part.width * part.height) / MOST_PIXELS));
@@ -89,7 +90,13 @@ export class PadSurface {
             const { picture, columns, side, left } = part;
             const image = surfaceImage(picture, columns, isDark() ? "dark" : "light");
             const top = height - image.height * side;
+            const wanted = this.wantedParts().find((part) => part.left === left);
+            context.save();
+            context.beginPath(); // one that was drawn for the whole pad ends in its middle now
+            context.rect(left, 0, wanted?.width ?? 0, height);
+            context.clip();
             context.drawImage(image, left, top, image.width * side, image.height * side);
+            context.restore();
         }
         if (this.selection.isDivided) {
             context.fillStyle = colors.text;

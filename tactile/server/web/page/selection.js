@@ -18,8 +18,17 @@ export class Selection {
         this.played = new Map();
         this.wishes = new Map();
         this.half = "left";
+        this.wasConnected = false;
         this.requests = new Newest((wish) => this.request(wish), (wish, error) => this.settle(wish, error));
-        session.displayChanged.on(() => this.changed.emit(this));
+        session.displayChanged.on(() => {
+            this.changed.emit(this);
+            this.playHalf();
+        });
+        session.changed.on(({ isConnected }) => {
+            if (isConnected && !this.wasConnected)
+                this.playHalf();
+            this.wasConnected = isConnected;
+        });
         session.reopened.on(() => {
             this.played.clear(); // the server forgot it with the connection
             this.wishes.clear();
@@ -47,6 +56,10 @@ export class Selection {
         if (half === this.half)
             return;
         this.half = half;
+        this.playHalf();
+    }
+    /** Have the display play what the half has, also if it missed that or was not shown then. */
+    playHalf() {
         const wish = this.wishes.get(this.session.display?.name ?? "");
         if (wish?.halves.right)
             this.requests.send(wish);

@@ -67,6 +67,8 @@ export class Session {
     }
     /** Get telemetry often as long as something wants it: many pages may only watch. */
     hurry(what, isWanted) {
+        if (this.hurried.has(what) === isWanted)
+            return;
         if (isWanted)
             this.hurried.add(what);
         else

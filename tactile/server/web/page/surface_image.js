@@ -1,5 +1,5 @@
-/** Darkest and lightest gray, within which the finger and its trace are still seen well. */
-const GRAYS = { light: [150, 250], dark: [20, 120] };
+/** Darkest and lightest gray; the finger has a contrast of 3 to all between them (WCAG 1.4.11). */
+const GRAYS = { light: [176, 250], dark: [20, 98] };
 /** Return a picture of a surface as an image: light where the surface pushes the skin along x. */
 export function surfaceImage(picture, columns, shade) {
     const image = document.createElement("canvas");

@@ -5,7 +5,7 @@ const PIXELS = 48;
 const PIXEL_MM = 0.25;
 /**
  * Draws a small picture of each texture whose place in the list is in sight, one by one, but none
- * during a stroke, which needs the processor.
+ * during a stroke or while a contactor is listened to, which need the processor.
  */
 export class TextureThumbnails {
     constructor(session, list) {

@@ -202,5 +202,5 @@ def measure_place() -> Iterator[Figure]:
     for size in (1, 7, 16, 160):
         other, _ = _streamed(texture, path, size)
         ratio = np.mean((other - whole) ** 2) / np.mean(whole**2)
-        level = 10 * np.log10(max(ratio, 1e-30))  # equal to the last bit on some processors
+        level = 10 * np.log10(max(float(ratio), 1e-30))  # equal to the last bit on some processors
         yield at_most(f"place.blocks_of_{size}_against_64", float(level), "dB", -60)

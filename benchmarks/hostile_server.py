@@ -98,13 +98,35 @@ Plain = dict[str, Any]
 
 
 def plain(message: m.Answer) -> Plain:
-    """Return a message as plain data, with its type."""
+    """Return a message as plain data, with its type.
+
+    Parameters
+    ----------
+    message : Answer
+        Message of a server.
+
+    Returns
+    -------
+    dict of str to Any
+        The message by the names of its fields, bytes as they are.
+    """
     data: Plain = msgspec.to_builtins(message, builtin_types=(bytes,))
     return data
 
 
 def description(name: str = NAME) -> m.DisplayDescription:
-    """Return the description of a display."""
+    """Return the description of a display.
+
+    Parameters
+    ----------
+    name : str
+        Name of the display.
+
+    Returns
+    -------
+    DisplayDescription
+        Description with 8 kHz, 100 V and a threshold.
+    """
     places = tuple((1.2 * (k % COLUMNS), 1.2 * (k // COLUMNS)) for k in range(COLUMNS**2))
     return m.DisplayDescription(
         name=name, contactors_mm=places, shear_direction_deg=(0.0,) * len(places),
@@ -117,7 +139,20 @@ def description(name: str = NAME) -> m.DisplayDescription:
 
 
 def trace(rng: random.Random, contactor: int) -> m.TelemetryTrace:
-    """Return a correct trace of a contactor."""
+    """Return a correct trace of a contactor.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    contactor : int
+        Index of the contactor.
+
+    Returns
+    -------
+    TelemetryTrace
+        Trace of one of `TRACES` lengths.
+    """
     shear = [rng.gauss(0, 2) for _ in range(rng.choice(TRACES))]
     return m.TelemetryTrace(
         contactor=contactor, sample_rate_hz=RATE, first=rng.randrange(10**6),
@@ -126,7 +161,22 @@ def trace(rng: random.Random, contactor: int) -> m.TelemetryTrace:
 
 
 def telemetry(rng: random.Random, state: str, contactor: int) -> Plain:
-    """Return correct telemetry with a state, and with the trace of a contactor."""
+    """Return correct telemetry with a state, and with the trace of a contactor.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    state : str
+        State of the display.
+    contactor : int
+        Index of the contactor.
+
+    Returns
+    -------
+    dict of str to Any
+        Message as plain data.
+    """
     loads = COLUMNS**2
     return plain(
         m.TelemetryMessage(
@@ -146,7 +196,20 @@ def telemetry(rng: random.Random, state: str, contactor: int) -> Plain:
 
 
 def stats(state: Any, detail: str = "") -> m.StatsReply:
-    """Return the correct answer to the question for a state."""
+    """Return the correct answer to the question for a state.
+
+    Parameters
+    ----------
+    state : str
+        State of the display.
+    detail : str
+        Line of detail.
+
+    Returns
+    -------
+    StatsReply
+        Answer without an id.
+    """
     return m.StatsReply(
         display=NAME, state=state, link="up", detail=detail, touching=True, owner=False,
         latency_ms=7.0, counters={"underruns": 3, "blocks": 4711}, put_out_share=0.995,
@@ -155,7 +218,13 @@ def stats(state: Any, detail: str = "") -> m.StatsReply:
 
 
 def textures() -> m.Textures:
-    """Return a correct list of textures."""
+    """Return a correct list of textures.
+
+    Returns
+    -------
+    Textures
+        Answer without an id.
+    """
     names = ("wood-oak", "wood-beech", "leather-calf", "plastic-acrylic-ribbed")
     return m.Textures(
         textures=tuple(
@@ -169,7 +238,20 @@ def textures() -> m.Textures:
 
 
 def unasked(rng: random.Random, contactor: int) -> Plain:
-    """Return a correct message of those that a server sends without a request, or an old answer."""
+    """Return a correct message of those that a server sends without a request, or an old answer.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    contactor : int
+        Index of the contactor.
+
+    Returns
+    -------
+    dict of str to Any
+        Message as plain data.
+    """
     kind = rng.choice(KINDS)
     makers: tuple[tuple[float, Callable[[], Plain]], ...] = (
         (6, lambda: telemetry(rng, rng.choice(("armed", "disarmed")), contactor)),
@@ -187,7 +269,20 @@ def unasked(rng: random.Random, contactor: int) -> Plain:
 
 
 def mutated(rng: random.Random, message: Plain) -> Plain:
-    """Return a message of which one to three parts are missing, odd, or of another length."""
+    """Return a message of which one to three parts are missing, odd, or of another length.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    message : dict of str to Any
+        Correct message, which stays as it is.
+
+    Returns
+    -------
+    dict of str to Any
+        Mutated copy.
+    """
     message = msgspec.msgpack.decode(msgspec.msgpack.encode(message))  # a copy with lists
     for _ in range(min(rng.choice((1, 1, 2, 3)), len(message))):
         mutate_at(rng, *place_in(rng, message))
@@ -195,7 +290,22 @@ def mutated(rng: random.Random, message: Plain) -> Plain:
 
 
 def place_in(rng: random.Random, holder: Any) -> tuple[Any, Any]:
-    """Return a container in a plain value, at random and not empty, and one of its keys."""
+    """Return a container in a plain value, at random and not empty, and one of its keys.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    holder : dict or list
+        Container to begin with, which is not empty.
+
+    Returns
+    -------
+    holder : dict or list
+        The container.
+    key : str or int
+        Key or index in it.
+    """
     key = rng.choice(list(holder) if isinstance(holder, dict) else range(len(holder)))
     inner = holder[key]
     is_deeper = isinstance(inner, dict | list) and inner and rng.random() < DEEPER
@@ -203,7 +313,17 @@ def place_in(rng: random.Random, holder: Any) -> tuple[Any, Any]:
 
 
 def mutate_at(rng: random.Random, holder: Any, key: Any) -> None:
-    """Mutate what a container holds at a key."""
+    """Mutate what a container holds at a key.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    holder : dict or list
+        Container, which is changed.
+    key : str or int
+        Key or index in it.
+    """
     way = rng.random()
     if way < 0.5:
         holder[key] = similar(rng, holder[key])
@@ -216,7 +336,20 @@ def mutate_at(rng: random.Random, holder: Any, key: Any) -> None:
 
 
 def similar(rng: random.Random, value: Any) -> Any:
-    """Return an odd value of the same type, which is more likely to be taken for correct."""
+    """Return an odd value of the same type, which is more likely to be taken for correct.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    value : Any
+        Plain value.
+
+    Returns
+    -------
+    Any
+        Odd value.
+    """
     match value:
         case bool() | None:
             return not value

@@ -43,7 +43,7 @@ class Job:
 
     @property
     def done(self) -> str:
-        """What is done with the texture, for messages: "prepared" or "drawn"."""
+        """Verb of the job for messages, "prepared" or "drawn"."""
         return "drawn" if isinstance(self.request, preparing.DrawingRequest) else "prepared"
 
 

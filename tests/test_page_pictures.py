@@ -8,9 +8,20 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from browser_rig import browsing
-from page_pictures import REFERENCES, VIEWS, View, differences, read, taken, viewing, write
+from page_pictures import (
+    REFERENCES,
+    REPLACE_TEXTS,
+    VIEWS,
+    View,
+    differences,
+    read,
+    taken,
+    viewing,
+    write,
+)
 
 if TYPE_CHECKING:
     from playwright.async_api import Browser
@@ -65,6 +76,16 @@ async def test_another_font_makes_no_difference(
 ) -> None:
     """Change the fonts more than another rasterizer or version of the browser does."""
     assert await changes(browser, view, tmp_path, style) == []
+
+
+async def test_the_time_of_day_makes_no_difference(browser: "Browser") -> None:
+    """Write hours of one digit and of two, which end the lines of the log at other places."""
+    pictures = []
+    async with viewing(browser, NARROW) as (_, visitor):
+        for time in ("1:02:03 AM", "11:52:24 PM"):
+            await visitor.page.evaluate(REPLACE_TEXTS, {"#log time": time})
+            pictures.append((await taken(visitor))[".log"])
+    assert np.array_equal(pictures[0], pictures[1])
 
 
 ELSEWHERE = """main {

@@ -1,5 +1,6 @@
 """Studies on a real Dask scheduler with worker processes: the same bits, also if one is killed."""
 
+import gc
 import os
 import platform
 import signal
@@ -25,7 +26,11 @@ from tactile.study.sweep import Study
 PART_POINTS = block_store.BLOCK_POINTS
 """Number of points of a part, without the small blocks of these tests."""
 
-pytestmark = pytest.mark.ci
+pytestmark = [
+    pytest.mark.ci,
+    # Dask warns if a folder takes a second, which is the disk's fault.
+    pytest.mark.filterwarnings("ignore:Creating scratch directories:UserWarning"),
+]
 
 
 @pytest.fixture(autouse=True)
@@ -48,9 +53,10 @@ def cluster() -> Iterator[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # of a killed worker's sockets
         with LocalCluster(  # type: ignore[no-untyped-call]
-            processes=True, n_workers=2, threads_per_worker=1, dashboard_address=None
+            processes=True, n_workers=2, threads_per_worker=1, dashboard_address=":0"
         ) as made:
             yield made
+        gc.collect()  # no other test is warned of the sockets
 
 
 def worker_pids(cluster: Any) -> list[int]:

@@ -26,8 +26,13 @@ def test_without_a_browser_and_node_each_figure_says_what_is_needed(
 
 
 @pytest.mark.ci
-def test_each_contact_that_the_client_sends_arrives() -> None:
-    """How many the client leaves out depends on the machine, and is not judged here."""
+def test_each_contact_that_the_client_sends_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How many the client leaves out depends on the machine, and is not judged here.
+
+    Send fewer contacts than the benchmark does, so that a slow server does not fall so far behind
+    that the client gives it up.
+    """
+    monkeypatch.setattr(page, "CONTACTS", 1000)
     if why := page.no_node():
         pytest.skip(why)
     figures = {figure.name: figure for figure in page.client_figures()}

@@ -1,6 +1,7 @@
 """The JavaScript client against the server: requests, reconnection, e-stops, contacts, clocks."""
 
 import asyncio
+import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -162,7 +163,7 @@ async def test_events_and_telemetry_come_to_all_who_listen(javascript: Node) -> 
 
 
 async def test_a_reconnection_restores_what_plays_and_arms_nothing(javascript: Node) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     async with serving(port=port) as (there, hands):
         await opened(javascript, there.url)
         await javascript.run(
@@ -188,7 +189,7 @@ async def test_a_reconnection_restores_what_plays_and_arms_nothing(javascript: N
 
 
 async def test_an_estop_without_a_server_is_sent_first_to_the_next(javascript: Node) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     async with serving(port=port) as (there, _):
         await opened(javascript, there.url)
         await javascript.run("await kept.d.gain(0.5)")
@@ -206,7 +207,7 @@ async def test_an_estop_without_a_server_is_sent_first_to_the_next(javascript: N
 
 
 async def test_an_estop_that_is_refused_is_sent_to_the_next_server(javascript: Node) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     async with serving(port=port) as (there, hands):
         await opened(javascript, there.url)
         hands.codes[EStop] = "internal"

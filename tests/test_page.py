@@ -9,6 +9,7 @@ import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from socket import SOCK_STREAM
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -50,7 +51,8 @@ class Daemon:
         self.config = folder / "tactile.toml"
         tables = "".join(f'[[display]]\nname = "{n}"\ndevice = "sim:"\n' for n in names)
         socket = folder / "socket"
-        head = f'[server]\nport = {free_port()}\nsocket = "{socket}"\n[osc]\nport = 0\n'
+        port = free_port(SOCK_STREAM)
+        head = f'[server]\nport = {port}\nsocket = "{socket}"\n[osc]\nport = 0\n'
         self.config.write_text(head + tables)
         self.url = f"ws+unix://{socket}"
         self.page = ""
@@ -132,7 +134,7 @@ async def test_touch_strokes_and_lifts(browser: "Browser", tmp_path: Path) -> No
     async with serving() as (there, hands), visiting(browser, there.page, has_touch=True) as v:
         x, y = await v.point(0.5, 0.5)
         await v.page.touchscreen.tap(x, y)
-        await until(lambda: len(contacts(hands)) >= 2)
+        await until(lambda: any(contact.normal_force_n == 0 for contact in contacts(hands)))
         first, last = contacts(hands)[0], contacts(hands)[-1]
         assert first.normal_force_n > 0
         assert last.normal_force_n == 0
@@ -200,7 +202,13 @@ async def test_arming_takes_two_steps_and_disarming_one(browser: "Browser", tmp_
 
 
 @pytest.mark.parametrize(
-    "way", ["button", "escape", "escape in the dialog", "button in the dialog"]
+    "way",
+    [
+        pytest.param("button", marks=pytest.mark.realtime),  # as high voltage ends if the browser
+        pytest.param("escape", marks=pytest.mark.realtime),  # is held up
+        "escape in the dialog",
+        "button in the dialog",
+    ],
 )
 async def test_the_estop_is_always_in_reach(browser: "Browser", tmp_path: Path, way: str) -> None:
     async with daemon(tmp_path) as there, visiting(browser, there.page) as visitor:
@@ -210,13 +218,14 @@ async def test_the_estop_is_always_in_reach(browser: "Browser", tmp_path: Path, 
         else:
             await visitor.page.keyboard.press("Escape")
         await visitor.state("estopped")
-        async with aio.connect(there.url) as program:
+        async with aio.connect(there.url, timeout=PATIENCE_S) as program:
             assert (await program.stats()).state == "estopped"
         await visitor.at("clear").click()
         await visitor.at("clear-confirm").click()
         await visitor.state("disarmed")
 
 
+@pytest.mark.realtime  # high voltage ends if the browser is held up
 async def test_a_server_that_dies_is_reported_and_comes_back_disarmed(
     browser: "Browser", tmp_path: Path
 ) -> None:
@@ -250,7 +259,7 @@ async def test_two_pages_and_a_program_see_the_same(browser: "Browser", tmp_path
         daemon(tmp_path) as there,
         visiting(browser, there.page) as one,
         visiting(browser, there.page) as other,
-        aio.connect(there.url) as program,
+        aio.connect(there.url, timeout=PATIENCE_S) as program,
     ):
         await one.arm()
         await other.state("armed")

@@ -32,7 +32,7 @@ from tactile.errors import DisconnectedError, NotFoundError, RequestError
 from tactile.server.config import Configuration, ServerConfig
 from tactile.server.server import running
 
-pytestmark = pytest.mark.usefixtures("patient")
+pytestmark = pytest.mark.usefixtures("patient", "patient_client")
 
 
 class RealServer:

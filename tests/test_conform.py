@@ -228,13 +228,14 @@ def test_a_mute_amplifier_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_amplifier_that_answers_garbage_is_one_line() -> None:
-    """Three answers come to the three tries of HELLO, each a frame with a wrong CRC-32."""
+    """Three answers come to the first HELLO, each a frame with a wrong CRC-32."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
 
         def answer() -> None:
+            address = server.recvfrom(4096)[1]
             for _ in range(3):
-                server.sendto(b"\x0agarbage!!\0", server.recvfrom(4096)[1])
+                server.sendto(b"\x0agarbage!!\0", address)
 
         thread = threading.Thread(target=answer)
         thread.start()

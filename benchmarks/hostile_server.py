@@ -369,7 +369,20 @@ def similar(rng: random.Random, value: Any) -> Any:
 
 
 def damaged(rng: random.Random, message: Plain) -> bytes | str:
-    """Return data that is no MessagePack, or no longer that of a message."""
+    """Return data that is no MessagePack, or no longer that of a message.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Source of what is chosen at random.
+    message : dict of str to Any
+        Correct message.
+
+    Returns
+    -------
+    bytes or str
+        Contents of a frame, binary or of text.
+    """
     data = msgspec.msgpack.encode(message)
     match rng.randrange(5):
         case 0:
@@ -432,7 +445,15 @@ class HostileServer:
         return self._link
 
     async def requested(self, kind: str, times: int = 1) -> None:
-        """Wait until a page has sent a request of a type, so often."""
+        """Wait until pages have sent a request of a type a number of times.
+
+        Parameters
+        ----------
+        kind : str
+            Type of the request, such as "arm".
+        times : int
+            Number of times, counted from the start of the server.
+        """
         await self._wait_until(lambda: self.requests[kind] >= times)
 
     async def _wait_until(self, condition: Callable[[], bool]) -> None:

@@ -26,7 +26,22 @@ SKIPPED = 800
 
 
 def played_shear(display: Display, drive: Floats, load: FingerLoad | None = None) -> Floats:
-    """Return the skin's shear (S, N) for a drive, through the plant, with its delay removed [m]."""
+    """Return the skin's shear for a drive, through the time-domain plant, with its delay removed.
+
+    Parameters
+    ----------
+    display : Display
+        Display whose benders and load are taken.
+    drive : (S, N) array of float
+        Drive at `RATE` [V].
+    load : FingerLoad, optional
+        Load on all contactors; the display's own by default.
+
+    Returns
+    -------
+    (S, N) array of float
+        Shear [m].
+    """
     finger = display.load_at(1.0) if load is None else load
     plant = Plant(display.bimorph, finger, RATE, contactors=drive.shape[1])
     rest = np.zeros((plant.delay, drive.shape[1]))
@@ -34,7 +49,18 @@ def played_shear(display: Display, drive: Floats, load: FingerLoad | None = None
 
 
 def grating_texture(amplitude_um: float) -> Texture:
-    """Return a sinusoidal grating of 1 mm wavelength, without laws."""
+    """Return a sinusoidal grating of 1 mm wavelength, whose amplitude depends on nothing.
+
+    Parameters
+    ----------
+    amplitude_um : float
+        Amplitude of the shear [µm].
+
+    Returns
+    -------
+    Texture
+        Grating along x.
+    """
     oak = load_texture("wood-oak")
     grating = Periodic(wavelength_mm=GRATING * 1e3, harmonics_um=(amplitude_um,))
     bare = Descriptor(
@@ -51,7 +77,20 @@ def grating_texture(amplitude_um: float) -> Texture:
 
 
 def first_contactors(display: Display, count: int) -> Display:
-    """Return a display of the first contactors of another one, each with a channel of its own."""
+    """Return a display of the first contactors of another one, each with a channel of its own.
+
+    Parameters
+    ----------
+    display : Display
+        Other display.
+    count : int
+        Number of contactors.
+
+    Returns
+    -------
+    Display
+        Display with ``count`` contactors and channels.
+    """
     return replace(
         display, contactors=display.contactors[:count],
         shear_direction=display.shear_direction[:count], polarity=display.polarity[:count],
@@ -60,7 +99,25 @@ def first_contactors(display: Display, count: int) -> Display:
 
 
 def transfer(display: Display, frequency: float, finger: FingerLoad, *, equalize: bool) -> complex:
-    """Return the ratio of played to commanded shear of the grating at a frequency [Hz]."""
+    """Return the ratio of played to commanded shear of the grating at a frequency.
+
+    Parameters
+    ----------
+    display : Display
+        Display whose equalizer is measured.
+    frequency : float
+        Frequency at which the finger meets the waves of the grating [Hz].
+    finger : FingerLoad
+        Finger on which the drive is played.
+    equalize : bool
+        Whether the display's equalizer makes the drive; if not, it is the commanded shear over the
+        static shear per volt.
+
+    Returns
+    -------
+    complex
+        Ratio of the first contactor's amplitudes over the last three periods.
+    """
     stroke = Trajectory.line(speed=frequency * GRATING, duration=0.3 + 4 / frequency)
     r = render(display, grating_texture(0.2), stroke)  # the limiter leaves it as it is
     drive = r.drive if equalize else r.shear / _static(display)
@@ -105,7 +162,20 @@ def swing() -> Trajectory:
 
 
 def ratio_db(commanded: Floats, played: Floats) -> float:
-    """Return the signal-to-error ratio in 20–1000 Hz, without the first 0.1 s [dB]."""
+    """Return the signal-to-error ratio in 20–1000 Hz, without the first `SKIPPED` samples.
+
+    Parameters
+    ----------
+    commanded : (S, N) array of float
+        Commanded shear at `RATE` [m].
+    played : (S, N) array of float
+        Shear of the skin [m].
+
+    Returns
+    -------
+    float
+        Ratio [dB].
+    """
     judge = Fidelity(RATE)
     judge.add(commanded[SKIPPED:], played[SKIPPED:])
     return judge.signal_to_error_db
@@ -129,12 +199,38 @@ def measure_wood() -> Iterator[Figure]:
 
 
 def without_events(descriptor: Descriptor) -> Descriptor:
-    """Return a descriptor whose textures only have waves."""
+    """Return a descriptor whose textures have no events, such as pores, but only waves.
+
+    Parameters
+    ----------
+    descriptor : Descriptor
+        Descriptor that may have events.
+
+    Returns
+    -------
+    Descriptor
+        The same without them.
+    """
     return changed(descriptor, events=())
 
 
 def stroke_levels(surface: Surface, turn: float, length: float = 1.0) -> Floats:
-    """Return the band levels (B,) along a stroke over a surface's random part [dB re 1 µm²·mm]."""
+    """Return the levels of all bands along a stroke over the random part of a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        Realized surface that has a random part.
+    turn : float
+        Direction of the stroke, counterclockwise from x [rad].
+    length : float
+        Length of the stroke [m].
+
+    Returns
+    -------
+    (B,) array of float
+        Mean spectral density in each of B bands [dB re 1 µm²·mm].
+    """
     assert surface.density is not None
     edges = surface.density.edges
     step = 0.25 / edges[-1]

@@ -54,7 +54,7 @@ def plain(seconds: float = SECONDS) -> Curve:
 def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
     """Keep a client's queue full, with a number of segments in each message."""
     samples = np.full(m.MOST_SAMPLES // cuts, 1e-6, np.float32)
-    while voice.queue.waiting < 0.05:
+    while voice.queue.waiting() < 0.05:
         for k in range(cuts):
             if not voice.queue.append(samples, sample_rate, (k % 2,) if cuts > 1 else ()):
                 return

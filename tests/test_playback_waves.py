@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tactile.arrays import Floats
-from tactile.playback.waves import Curve, EffectPlayer, WaveformQueue
+from tactile.playback.waveforms import WaveformQueue
+from tactile.playback.waves import Curve, EffectPlayer
 
 RATE = 8000.0
 N = 3
@@ -53,13 +54,70 @@ def test_a_waveform_is_the_same_however_it_is_cut_into_messages() -> None:
     np.testing.assert_array_equal(drained(whole), drained(cut))
 
 
-def test_only_the_named_contactors_play() -> None:
+def test_only_the_named_contactors_play_and_at_the_same_time_as_others() -> None:
     queue = WaveformQueue(RATE, N)
     queue.append(np.ones(100, np.float32), RATE, (0, 2))
-    queue.append(np.full(100, 2, np.float32), RATE, (1,))
+    queue.append(np.full(150, 2, np.float32), RATE, (1,))
     played = drained(queue)
-    np.testing.assert_allclose(played[50], [1, 0, 1], atol=1e-6)
-    np.testing.assert_allclose(played[150], [0, 2, 0], atol=1e-6)
+    np.testing.assert_allclose(played[50], [1, 2, 1], atol=1e-6)
+    np.testing.assert_allclose(played[120], [0, 2, 0], atol=1e-6)
+    assert len(played) == 160
+
+
+def test_samples_wait_for_those_of_their_own_contactors_alone() -> None:
+    """What is for several contactors begins on all of them at once, when the last one is free."""
+    queue = WaveformQueue(RATE, N)
+    queue.append(np.ones(80, np.float32), RATE, (0,))
+    queue.append(np.full(40, 2, np.float32), RATE / 2, (0, 1))
+    queue.append(np.full(16, 4, np.float32), RATE, (2,))
+    assert [queue.waiting((k,)) * RATE for k in range(N)] == [160, 160, 16]
+    played = drained(queue)
+    np.testing.assert_allclose(played[8], [1, 0, 4], atol=1e-6)
+    np.testing.assert_allclose(played[40], [1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(played[120], [2, 2, 0], atol=0.1)
+    assert not played[:80, 1].any()
+    assert not played[16:, 2].any()
+
+
+@pytest.mark.parametrize("rate", [1000.0, 8000.0, 48000.0])
+def test_each_contactor_has_its_own_samples_as_if_it_were_alone(rate: float) -> None:
+    """Frames of all contactors, and messages of one each, are what a queue of one plays."""
+    rng = np.random.default_rng(5)
+    frames = rng.uniform(-1, 1, (int(rate / 10), N)).astype(np.float32)
+    together, apart = WaveformQueue(RATE, N), WaveformQueue(RATE, N)
+    for part in np.array_split(frames, 7):
+        assert together.append(part, rate, ()) == len(part)
+        for k in range(N):
+            assert apart.append(part[:, k], rate, (k,)) == len(part)
+    alone = WaveformQueue(RATE, 1), WaveformQueue(RATE, 1), WaveformQueue(RATE, 1)
+    for k, queue in enumerate(alone):
+        queue.append(frames[:, k], rate, ())
+    for _ in range(51):
+        one, other = together.take(BLOCK), apart.take(BLOCK)
+        parts = [queue.take(BLOCK) for queue in alone]
+        if one is None:
+            assert other is None
+            assert parts == [None] * N
+            return
+        assert other is not None
+        np.testing.assert_allclose(one, other, atol=1e-6)
+        np.testing.assert_allclose(one, np.hstack([p for p in parts if p is not None]), atol=1e-6)
+    pytest.fail("samples of a tenth of a second play for longer")
+
+
+def test_samples_are_dropped_for_the_named_contactors_alone() -> None:
+    queue = WaveformQueue(RATE, N)
+    queue.append(np.ones(400, np.float32), RATE, ())
+    queue.append(np.ones((400, 2), np.float32), RATE, (0, 1))
+    queue.take(BLOCK)
+    queue.clear((1,))
+    assert [queue.waiting((k,)) * RATE for k in range(N)] == [784, 0, 384]
+    assert queue.append(np.full(50, 3, np.float32), RATE, (1,)) == 50
+    played = drained(queue)
+    np.testing.assert_allclose(played[300], [1, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(played[600], [1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(played[45, 1], 3, atol=1e-6)
+    np.testing.assert_allclose(np.diff(played[10:30, 1]), -1 / (ENDING * RATE), atol=1e-6)
 
 
 @pytest.mark.parametrize("rate", [1000.0, 8000.0, 48000.0])
@@ -81,7 +139,7 @@ def test_more_than_a_second_waits_where_the_order_says_so() -> None:
     queue = WaveformQueue(RATE, N)
     long = np.ones(3 * int(RATE), np.float32)
     assert queue.append(long, RATE, (), 2.0) == 2 * RATE
-    assert queue.waiting == pytest.approx(2.0)
+    assert queue.waiting() == pytest.approx(2.0)
     assert queue.append(long, RATE, ()) == 0
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from tactile.arrays import Floats
 from tactile.playback.voice import Voice
-from tactile.playback.waves import Curve, EffectPlayer, WaveformQueue, affordable
+from tactile.playback.waveforms import WaveformQueue
+from tactile.playback.waves import Curve, EffectPlayer, affordable
 
 RATE = 8000.0
 N = 3
@@ -24,6 +25,8 @@ PLAIN, PERIODS = 160.0, 2.0
 MOST_TRANSIENTS, MOST_SEGMENTS = 16, 128
 """Largest number of transients that sound at once, which is 1280 taps of 160 Hz per second, and of
 segments that wait, one for each 8 ms of a second."""
+SETS = (0, 1), (1, 2)
+"""Contactors of segments that wait for each other."""
 BLOCK_WORK = 12_000
 """Units of 30 ns for the waves of a block: 0.36 of its 2 ms."""
 Take = tuple[int, Curve | None]
@@ -199,11 +202,11 @@ def test_all_transients_at_one_time_are_those_that_may_sound() -> None:
 
 def test_segments_are_bounded_and_one_more_is_not_taken_until_some_were_played() -> None:
     queue = WaveformQueue(RATE, N)
-    one = np.ones(1, np.float32)
-    taken = [queue.append(one, RATE, (k % 2,)) for k in range(MOST_SEGMENTS)]
-    assert taken == [1] * MOST_SEGMENTS
+    one, most = np.ones(1, np.float32), MOST_SEGMENTS + N
+    taken = [queue.append(one, RATE, SETS[k % 2]) for k in range(most)]
+    assert taken == [1] * most
     assert queue.append(one, RATE, (2,)) == 0
-    assert queue.append(one, RATE, ((MOST_SEGMENTS - 1) % 2,)) == 1, "of the last one's kind"
+    assert queue.append(one, RATE, SETS[(most - 1) % 2]) == 1, "after the last one"
     queue.take(2 * BLOCK)
     assert queue.append(one, RATE, (2,)) == 1
 
@@ -212,10 +215,10 @@ def test_the_work_of_a_block_grows_with_its_segments_and_its_rate() -> None:
     def work(rate: float, cut: int) -> int:
         queue = WaveformQueue(RATE, N)
         for k in range(0, 96, cut):
-            queue.append(np.ones(cut, np.float32), rate, (k // cut % 2,))
+            queue.append(np.ones(cut, np.float32), rate, SETS[k // cut % 2])
         return queue.work(BLOCK)
 
-    assert work(RATE, 96) < work(48_000.0, 96) < 2 * work(48_000.0, 48) <= 4 * work(48_000.0, 96)
+    assert work(RATE, 96) < work(48_000.0, 96) < work(48_000.0, 48) <= 2 * work(48_000.0, 96)
     assert work(RATE, 1) > BLOCK_WORK, "a segment each sample"
 
 
@@ -224,8 +227,9 @@ def test_memory_is_bounded_by_what_waits() -> None:
     for _ in range(2000):
         queue.append(np.zeros(4000, np.float32), 48_000.0, ())
         queue.take(BLOCK)
-        (segment,) = queue._segments
-        assert len(segment._data) <= 2 * (48_000 + 4000) + 3 * segment._reach
+        (grid,) = queue._grids.values()
+        (segment,) = grid.segments
+        assert len(segment._data) <= 2 * (48_000 + 4000 + grid._reach)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 300))
@@ -240,7 +244,7 @@ def test_what_is_skipped_goes_on_in_time(seed: int, blocks: int) -> None:
     for _ in range(blocks):
         queues[0].take(BLOCK)
         queues[1].skip(BLOCK)
-    assert queues[0].waiting == queues[1].waiting
+    assert queues[0].waiting() == queues[1].waiting()
     one, other = (queue.take(BLOCK) for queue in queues)
     assert (one is None) == (other is None)
     if one is not None and other is not None:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from tactile.display.display import Display
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback.voice import ClientState
-from tactile.playback.waves import LONGEST, Curve
+from tactile.playback.waveforms import LONGEST
+from tactile.playback.waves import Curve
 from tactile.rendering.layer import RealizedLayer
 from tactile.rendering.spectrum import SpectrumRenderer
 

@@ -227,9 +227,9 @@ class Mixer:
         """Queue samples; return how many were taken, and the time of those that wait [s]."""
         waves = self.voice(order.client).queue
         if not order.append:
-            waves.clear()
+            waves.clear(order.contactors)
         taken = waves.append(order.samples, order.sample_rate, order.contactors, order.longest)
-        return float(taken), waves.waiting
+        return float(taken), waves.waiting(order.contactors)
 
     def silence(self) -> None:
         """Drop all waves and fade in, before playing begins: no earlier wave continues."""

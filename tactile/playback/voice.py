@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile.arrays import Singles
-from tactile.playback.waves import EffectPlayer, WaveformQueue
+from tactile.playback.waveforms import WaveformQueue
+from tactile.playback.waves import EffectPlayer
 
 
 @dataclass

@@ -28,7 +28,8 @@ from tactile.messages import (
 from tactile.playback import commands
 from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.shear_ring import ShearRing
-from tactile.playback.waves import ENDING, Curve
+from tactile.playback.waveforms import ENDING
+from tactile.playback.waves import Curve
 from tactile.rendering.surface_picture import SurfaceSection
 from tactile.server.decoding import failed, hint
 from tactile.server.effects import LONGEST_EFFECT, SAMPLE_RATE

@@ -1,0 +1,426 @@
+"""Waveforms that clients stream as shear, contactor by contactor, at any rate of samples.
+
+A `WaveformQueue` holds the samples of one client. Each contactor plays its own samples in the order
+of their arrival, at the same time as the others. Samples that do not fit are refused, and the
+client learns how many were taken (``samplesConsumed`` of XR_FB_haptic_pcm). What is played passes
+the limiter like everything else.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.arrays import Floats, Singles
+
+LONGEST = 1.0
+"""Largest duration of samples that wait for one contactor of a client [s]."""
+ENDING = 5e-3
+"""Time in which a wave that is replaced or ends early falls to 0 [s]."""
+ZEROS, SHAPE = 8, 7.0
+"""Length of the interpolation window on either side, in zeros of the sinc, and its shape: 70 dB
+(Kaiser's β 7)."""
+_APART = np.linspace(0, ZEROS, 512 * ZEROS + 1)
+"""Distances from the center of the window [zeros]."""
+KERNEL = (
+    _APART,
+    np.sinc(_APART) * np.i0(SHAPE * np.sqrt(1 - (_APART / ZEROS) ** 2)) / np.i0(SHAPE),
+)
+"""Window times sinc over the distance in zeros; read with linear interpolation, to 4e-6."""
+MOST_SEGMENTS = 128
+"""Largest number of segments that wait in a queue, besides one for each contactor: within its
+`LONGEST`, a change of rate or contactors every 8 ms."""
+GRID_WORK, SEGMENT_WORK = 1000, 150
+"""Work of all samples of one rate in a block, and of each segment of it, the same for any small
+number of samples; in units of `tactile.playback.waves`."""
+PRODUCTS = 50
+"""Number of products of a kernel and a sample that take as much work as one evaluation of the
+kernel."""
+
+Contactors = NDArray[np.intp]
+"""Indices of contactors, in ascending order."""
+
+
+class WaveformSegment:
+    """Samples for some contactors without a gap.
+
+    Parameters
+    ----------
+    contactors : (K,) array of int
+        Contactors that play the samples.
+    first : int
+        Row of the grid in which the first sample is.
+    columns : int
+        Number of values in a sample: 1 for all contactors together, K for one each.
+
+    Attributes
+    ----------
+    contactors : (K,) array of int
+        Contactors that play the samples.
+    begin, end : int
+        Rows of the grid of the first sample, and after the last one.
+    columns : int
+        Number of values in a sample.
+    """
+
+    def __init__(self, contactors: Contactors, first: int, columns: int) -> None:
+        self.contactors, self.columns = contactors, columns
+        self.begin = self.end = first
+        self._data = np.zeros((0, columns), np.float32)
+        self._first = first
+
+    def add(self, samples: Singles, oldest: int) -> None:
+        """Add samples at the end.
+
+        Parameters
+        ----------
+        samples : (S, C) array of float32
+            Samples [m].
+        oldest : int
+            First row of the grid that is still needed.
+        """
+        count, end = self.end - self._first, self.end - self._first + len(samples)
+        if end > len(self._data):
+            done = min(max(oldest - self._first, 0), count)
+            left = self._data[done:count]
+            self._data = np.zeros((2 * (len(left) + len(samples)), self.columns), np.float32)
+            self._data[: len(left)] = left
+            self._first += done
+            count, end = count - done, end - done
+        self._data[count:end] = samples
+        self.end += len(samples)
+
+    def add_to(self, window: Singles, first: int) -> None:
+        """Add the samples to rows of the grid.
+
+        Parameters
+        ----------
+        window : (R, N) array of float32
+            Rows of the grid [m].
+        first : int
+            Number of the first of these rows.
+        """
+        low, high = max(first, self._first), min(first + len(window), self.end)
+        if low < high:
+            part = self._data[low - self._first : high - self._first]
+            window[low - first : high - first, self.contactors] += part
+
+    def leave(self, contactors: Contactors) -> None:
+        """Take the samples of some contactors away.
+
+        Parameters
+        ----------
+        contactors : (K,) array of int
+            Contactors that do not play the samples any more.
+        """
+        stays = ~np.isin(self.contactors, contactors)
+        if self.columns > 1:
+            self._data = self._data[:, stays]
+            self.columns = self._data.shape[1]
+        self.contactors = self.contactors[stays]
+
+
+class WaveformGrid:
+    """Samples of one rate, one row of all contactors after the other, read at the drive's rate.
+
+    The interpolation is band-limited: y(t) = Σ x[k] c sinc(c (t − k)) w(t − k), where c is the
+    lower of both rates over the rate of the samples, and w Kaiser's window over `ZEROS` zeros of
+    the sinc on either side. Samples that have not come yet are 0, so that nothing waits for them.
+    (soxr, a library that interpolates better, holds 12 to 140 ms back when it streams.)
+
+    Parameters
+    ----------
+    sample_rate : float
+        Sample rate of what is added [Hz].
+    drive_rate : float
+        Sample rate of what is read [Hz].
+    contactors : int
+        Number of contactors, N.
+
+    Attributes
+    ----------
+    rate : float
+        Sample rate of what is added [Hz].
+    segments : list of WaveformSegment
+        Segments that are still to be read, at least in part.
+    """
+
+    def __init__(self, sample_rate: float, drive_rate: float, contactors: int) -> None:
+        self.rate = sample_rate
+        self.segments: list[WaveformSegment] = []
+        self._ends = np.zeros(contactors, np.intp)
+        self._ratio = sample_rate / drive_rate
+        self._cut = min(1.0, 1 / self._ratio)
+        self._reach = math.ceil(ZEROS / self._cut)
+        self._near = np.arange(1 - self._reach, self._reach + 1)
+        self._at = 0.0
+
+    def waiting(self, contactors: Contactors | slice) -> float:
+        """Return the time until all samples of some contactors were read [s]."""
+        return max(float(self._ends[contactors].max()) - self._at, 0.0) / self.rate
+
+    def add(self, samples: Singles, contactors: Contactors, after: float, segments: int) -> bool:
+        """Add samples for some contactors, once each of them has played all that waits for it.
+
+        Parameters
+        ----------
+        samples : (S, C) array of float32
+            Samples [m], of all contactors together or of each.
+        contactors : (K,) array of int
+            Contactors that play them.
+        after : float
+            Time that they have to wait for samples of other rates [s].
+        segments : int
+            Number of segments that may be added.
+
+        Returns
+        -------
+        bool
+            Whether they were added, as they are unless they need a segment more.
+        """
+        first = max(
+            int(self._ends[contactors].max()), math.ceil(self._at + after * self.rate - 1e-6)
+        )
+        columns = samples.shape[1]
+        for segment in self.segments:
+            if (
+                segment.end == first
+                and segment.columns == columns
+                and np.array_equal(segment.contactors, contactors)
+            ):
+                break
+        else:
+            if segments < 1:
+                return False
+            segment = WaveformSegment(contactors, first, columns)
+            self.segments.append(segment)
+        segment.add(samples, int(self._at) - self._reach)
+        self._ends[contactors] = segment.end
+        return True
+
+    def leave(self, contactors: Contactors) -> None:
+        """Drop the samples of some contactors."""
+        for segment in self.segments:
+            segment.leave(contactors)
+        self.segments = [segment for segment in self.segments if len(segment.contactors)]
+        self._ends[contactors] = 0
+
+    def work(self, count: int) -> int:
+        """Return the work of reading samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        int
+            Work.
+        """
+        near = 2 * self._reach
+        products = count * (near + int(count * self._ratio)) * len(self._ends)
+        return (
+            GRID_WORK + count * near + products // PRODUCTS + SEGMENT_WORK * len(self.segments)
+        )
+
+    def read(self, count: int) -> Singles:
+        """Return the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        (S, N) array of float32
+            Samples [m].
+        """
+        time = self._at + self._ratio * np.arange(count)
+        rows = time.astype(np.intp)[:, None] + self._near
+        first = int(rows[0, 0])
+        kernel = np.zeros((count, int(rows[-1, -1]) + 1 - first), np.float32)
+        apart = np.abs(time[:, None] - rows) * self._cut
+        kernel[np.arange(count)[:, None], rows - first] = self._cut * np.interp(apart, *KERNEL)
+        window = np.zeros((kernel.shape[1], len(self._ends)), np.float32)
+        sounds = np.zeros((count, len(self._ends)), np.float32)
+        for segment in self.segments:
+            segment.add_to(window, first)
+            begin, end = np.searchsorted(time, (segment.begin, segment.end))
+            sounds[begin:end, segment.contactors] = 1
+        samples: Singles = kernel @ window
+        samples *= sounds  # a sinc would be heard before its first sample and after its last one
+        self.skip(count)
+        return samples
+
+    def skip(self, count: int) -> None:
+        """Advance without reading.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+        """
+        self._at += self._ratio * count
+        oldest = self._at - self._reach
+        self.segments = [segment for segment in self.segments if segment.end > oldest]
+
+
+class WaveformQueue:
+    """Samples of one client that wait to be played.
+
+    Parameters
+    ----------
+    sample_rate : float
+        Sample rate of the drive [Hz].
+    contactors : int
+        Number of contactors, N.
+    """
+
+    def __init__(self, sample_rate: float, contactors: int) -> None:
+        self._rate, self._all = sample_rate, np.arange(contactors)
+        self._grids: dict[float, WaveformGrid] = {}
+        self._ending = np.zeros((0, contactors), np.float32)
+        self._last: Singles | None = None
+
+    def waiting(self, contactors: tuple[int, ...] = ()) -> float:
+        """Return the time until all samples of some contactors were played.
+
+        Parameters
+        ----------
+        contactors : tuple of int
+            Contactors; empty for all.
+
+        Returns
+        -------
+        float
+            Time [s].
+        """
+        chosen = self._chosen(contactors)
+        return max((grid.waiting(chosen) for grid in self._grids.values()), default=0.0)
+
+    def _chosen(self, contactors: tuple[int, ...]) -> Contactors:
+        return np.unique(np.array(contactors, np.intp)) if contactors else self._all
+
+    def append(
+        self,
+        samples: Singles,
+        sample_rate: float,
+        contactors: tuple[int, ...],
+        longest: float = LONGEST,
+    ) -> int:
+        """Add samples after those that wait for the same contactors, as far as there is room.
+
+        Parameters
+        ----------
+        samples : (S,) or (S, K) array of float32
+            Samples [m], for all of the contactors together or for each.
+        sample_rate : float
+            Sample rate [Hz].
+        contactors : tuple of int
+            Contactors that play them, in ascending order if each has its own; empty for all.
+        longest : float
+            Largest duration of samples that may wait [s].
+
+        Returns
+        -------
+        int
+            Number of samples that were taken: none beyond ``longest``, and none that would need a
+            segment more than `MOST_SEGMENTS`.
+        """
+        chosen = self._chosen(contactors)
+        rows = samples if samples.ndim == 2 else samples[:, None]
+        rows = rows[: int(max(longest - self.waiting(contactors), 0.0) * sample_rate)]
+        if not len(rows):
+            return 0
+        others = [grid for rate, grid in self._grids.items() if rate != sample_rate]
+        after = max((grid.waiting(chosen) for grid in others), default=0.0)
+        grid = self._grids.get(sample_rate)
+        if grid is None:
+            grid = WaveformGrid(sample_rate, self._rate, len(self._all))
+        segments = sum(len(each.segments) for each in self._grids.values())
+        if not grid.add(rows, chosen, after, MOST_SEGMENTS + len(self._all) - segments):
+            return 0
+        self._grids[sample_rate] = grid
+        return len(rows)
+
+    def clear(self, contactors: tuple[int, ...] = ()) -> None:
+        """Drop what waits for some contactors, and let the last sample of theirs fade out.
+
+        Parameters
+        ----------
+        contactors : tuple of int
+            Contactors; empty for all.
+        """
+        chosen = self._chosen(contactors)
+        for grid in self._grids.values():
+            grid.leave(chosen)
+        if self._last is not None:
+            ramp = np.linspace(1, 0, int(ENDING * self._rate) + 1, dtype=np.float32)[1:, None]
+            ending = np.zeros((len(ramp), len(self._all)), np.float32)
+            ending[: len(self._ending)] = self._ending
+            ending[:, chosen] = self._last[chosen] * ramp
+            self._ending = ending
+
+    def work(self, count: int) -> int:
+        """Return the work of the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        int
+            Work; 0 if nothing waits.
+        """
+        ending = SEGMENT_WORK if len(self._ending) else 0
+        return ending + sum(grid.work(count) for grid in self._grids.values())
+
+    def take(self, count: int) -> Singles | None:
+        """Return the next samples.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+
+        Returns
+        -------
+        (S, N) array of float32 or None
+            Shear [m]; None if nothing waits.
+        """
+        if not self._grids and not len(self._ending):
+            self._last = None
+            return None
+        out = np.zeros((count, len(self._all)), np.float32)
+        for grid in self._grids.values():
+            out += grid.read(count)
+        ending = self._ending[:count]
+        out[: len(ending)] += ending
+        self._last = out[-1]
+        self._advance(count)
+        return out
+
+    def skip(self, count: int) -> None:
+        """Advance without playing.
+
+        Parameters
+        ----------
+        count : int
+            Number of samples of the drive.
+        """
+        for grid in self._grids.values():
+            grid.skip(count)
+        self._last = None
+        self._advance(count)
+
+    def _advance(self, count: int) -> None:
+        """Forget what was played: the rest of an ending, and grids of which nothing waits."""
+        self._ending = self._ending[count:]
+        everything = slice(None)
+        self._grids = {
+            rate: grid for rate, grid in self._grids.items() if grid.waiting(everything) > 0
+        }

@@ -780,8 +780,9 @@ class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
         Whether a finger touches the display.
     owner : bool
         Whether the finger belongs to this client.
-    latency_ms : float
-        Present latency from a contact message to the skin [ms].
+    latency_ms : float or null
+        Present latency from the arrival of a contact message to the skin: the lead, what the link
+        adds and half a block, whether or not a finger touches; null while nothing plays [ms].
     counters : dict of str to int
         Counters of the device's bus and of playback since it started, by name.
     estop : int
@@ -800,7 +801,7 @@ class StatsReply(Reply, frozen=True, kw_only=True, tag="stats"):
     detail: str
     touching: bool
     owner: bool
-    latency_ms: float
+    latency_ms: float | None
     counters: dict[str, int]
     estop: int = 0
     put_out_share: float | None = None

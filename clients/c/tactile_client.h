@@ -854,7 +854,11 @@ typedef struct {
   bool touching;
   /** Whether the finger belongs to this client. */
   bool owner;
-  /** Present latency from a contact message to the skin [ms]. */
+  /**
+   * Present latency from the arrival of a contact message to the skin: the lead, what the link
+   * adds and half a block, whether or not a finger touches; null while nothing plays [ms].
+   */
+  bool has_latency_ms;
   double latency_ms;
   /** Counters of the device's bus and of playback since it started, by name. */
   tactile_integer_map counters;
@@ -1543,7 +1547,7 @@ static const tactile_field tactile_fields_stats[] = {
     TACTILE_FIELD(stats, detail, text, TACTILE_REQUIRED),
     TACTILE_FIELD(stats, touching, boolean, TACTILE_REQUIRED),
     TACTILE_FIELD(stats, owner, boolean, TACTILE_REQUIRED),
-    TACTILE_FIELD(stats, latency_ms, number, TACTILE_REQUIRED),
+    TACTILE_FLAGGED(stats, latency_ms, number, TACTILE_REQUIRED, 0.0),
     TACTILE_FIELD(stats, counters, integer_map, TACTILE_REQUIRED),
     TACTILE_FIELD(stats, estop, integer, TACTILE_OPTIONAL),
     TACTILE_FLAGGED(stats, put_out_share, number, TACTILE_OPTIONAL, 0.0),

@@ -112,8 +112,9 @@ class Stats:
         Whether a finger is on the display.
     owner : bool
         Whether that finger is this client's.
-    latency : float
-        Time from a contact to the skin [s].
+    latency : float or None
+        Time from the arrival of a contact at the server to the skin, whether or not a finger
+        touches [s]; None while nothing plays.
     counters : dict of str to int
         Counts of playback, bus and amplifier.
     estop : int
@@ -132,7 +133,7 @@ class Stats:
     detail: str
     touching: bool
     owner: bool
-    latency: float
+    latency: float | None
     counters: dict[str, int]
     estop: int = 0
     put_out_share: float | None = None

@@ -252,10 +252,11 @@ class PlaybackLoop(Mixer):
             self.memory.commanded.add(self.rendering.trace)
         if self._played is not None:
             self.memory.played.add(self._played())
-        if block.contacts:
-            due = self.bus.due(block.position + self.rendering.first)
-            latency = due - block.contacts[-1][1].arrival
-            report.latency += SMOOTHED * (latency - report.latency)
+        # A contact waits for half a block on average before it is taken.
+        wait = self.rendering.spacing / (2 * self._rate)
+        latency = self.bus.due(block.position + self.rendering.first) - block.now + wait
+        before = latency if math.isnan(report.latency) else report.latency
+        report.latency = before + SMOOTHED * (latency - before)
         report.blocks += 1
         report.position = float(self.place[-1, 0]), float(self.place[-1, 1])
         report.normal_force = float(self.force[-1])
@@ -278,6 +279,7 @@ class PlaybackLoop(Mixer):
         r.time = self.clock.now()
         r.state = state_of(status)
         r.link, r.detail, r.running = status.link, status.detail, self.running
+        r.latency = r.latency if self.running else math.nan
         r.touching, r.client = self.tracker.touching, self._client
         r.put_out_share = share_put_out(self.position, self._unplayed - self._unplayed_before)
         r.velocity = float(self.tracker.velocity[0]), float(self.tracker.velocity[1])

@@ -136,8 +136,8 @@ class PlaybackReport:
     sample_rate : float
         Sample rate of the drive [Hz].
     latency : float
-        Mean time from the arrival of a contact to the output of the first sample that it affects
-        [s].
+        Mean time from the arrival of a contact to the output of the first sample that it affects,
+        whether or not any arrives; NaN while nothing plays [s].
     put_out_share : float
         Share that was put out of what was due since playing began, from 0 to 1, as far as the
         amplifiers have reported; NaN if nothing was due.
@@ -160,7 +160,7 @@ class PlaybackReport:
     velocity: tuple[float, float] = (0.0, 0.0)
     normal_force: float = 0.0
     sample_rate: float = 0.0
-    latency: float = 0.0
+    latency: float = math.nan
     put_out_share: float = math.nan
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
     detail: str = ""

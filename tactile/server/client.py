@@ -472,7 +472,7 @@ class Client:
             detail=playing.failure or (latch.reason if latch.holds else r.detail),
             touching=r.touching,
             owner=playing.finger.client == self.number,
-            latency_ms=1e3 * r.latency,
+            latency_ms=_known(1e3 * r.latency),
             counters=r.counters,
             estop=latch.holds,
             put_out_share=_known(r.put_out_share),

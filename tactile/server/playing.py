@@ -10,6 +10,7 @@ written to the latch, which playback watches, and waits for nothing.
 
 import asyncio
 import logging
+import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -645,5 +646,7 @@ class Playing:
     def info(self) -> DisplayDescription:
         """Description of the display for clients."""
         renders = 16 / self.how.sample_rate if self.how.sample_rate else 0.0
-        latency = self.report.latency or self.how.ahead + renders
+        latency = self.report.latency
+        if math.isnan(latency):
+            latency = self.how.ahead + renders
         return describe(self.config.name, self.display, self.how, latency=latency, latch=self.latch)

@@ -619,8 +619,11 @@ export interface StatsReply {
   touching: boolean;
   /** Whether the finger belongs to this client. */
   owner: boolean;
-  /** Present latency from a contact message to the skin [ms]. */
-  latency_ms: number;
+  /**
+   * Present latency from the arrival of a contact message to the skin: the lead, what the link
+   * adds and half a block, whether or not a finger touches; null while nothing plays [ms].
+   */
+  latency_ms: number | null;
   /** Counters of the device's bus and of playback since it started, by name. */
   counters: Record<string, number>;
   /**

@@ -116,7 +116,7 @@ export const SHAPES: Readonly<Record<string, Shape>> = {
       detail: "string",
       touching: "boolean",
       owner: "boolean",
-      latency_ms: "number",
+      latency_ms: { anyOf: ["number", "null"] },
       counters: { map: "integer" },
     },
     optional: {

@@ -93,7 +93,7 @@ export const SHAPES = {
             detail: "string",
             touching: "boolean",
             owner: "boolean",
-            latency_ms: "number",
+            latency_ms: { anyOf: ["number", "null"] },
             counters: { map: "integer" },
         },
         optional: {

@@ -19,7 +19,7 @@ export function showHealth(session) {
         // Figures of a display that is not armed are those of when it last was.
         const playing = stats?.state === "armed" ? stats : undefined;
         first.set("link", texts.link, stats ? texts.linkState(stats.link) : texts.unknown);
-        first.set("latency", texts.latency, texts.milliseconds(playing?.latency_ms));
+        first.set("latency", texts.latency, texts.milliseconds(playing?.latency_ms ?? undefined));
         first.set("lead", texts.lead, texts.milliseconds(stats?.lead_ms ?? undefined));
         const roundTrip_ms = session.isConnected ? session.connection.roundTrip_ms : undefined;
         first.set("round-trip", texts.roundTrip, texts.milliseconds(roundTrip_ms));

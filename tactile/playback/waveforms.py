@@ -11,7 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.arrays import Floats, Singles
+from tactile.arrays import Singles
+from tactile.playback.sinc_interpolation import SincInterpolation
 
 LONGEST = 1.0
 """Largest duration of samples that wait for one contactor of a client [s]."""
@@ -20,13 +21,6 @@ ENDING = 5e-3
 ZEROS, SHAPE = 8, 7.0
 """Length of the interpolation window on either side, in zeros of the sinc, and its shape: 70 dB
 (Kaiser's β 7)."""
-_APART = np.linspace(0, ZEROS, 512 * ZEROS + 1)
-"""Distances from the center of the window [zeros]."""
-KERNEL = (
-    _APART,
-    np.sinc(_APART) * np.i0(SHAPE * np.sqrt(1 - (_APART / ZEROS) ** 2)) / np.i0(SHAPE),
-)
-"""Window times sinc over the distance in zeros; read with linear interpolation, to 4e-6."""
 MOST_SEGMENTS = 128
 """Largest number of segments that wait in a queue, besides one for each contactor: within its
 `LONGEST`, a change of rate or contactors every 8 ms."""
@@ -123,10 +117,8 @@ class WaveformSegment:
 class WaveformGrid:
     """Samples of one rate, one row of all contactors after the other, read at the drive's rate.
 
-    The interpolation is band-limited: y(t) = Σ x[k] c sinc(c (t − k)) w(t − k), where c is the
-    lower of both rates over the rate of the samples, and w Kaiser's window over `ZEROS` zeros of
-    the sinc on either side. Samples that have not come yet are 0, so that nothing waits for them.
-    (soxr, a library that interpolates better, holds 12 to 140 ms back when it streams.)
+    The interpolation is band-limited, as described in `SincInterpolation`. Samples that have not
+    come yet are 0, so that nothing waits for them.
 
     Parameters
     ----------
@@ -150,9 +142,8 @@ class WaveformGrid:
         self.segments: list[WaveformSegment] = []
         self._ends = np.zeros(contactors, np.intp)
         self._ratio = sample_rate / drive_rate
-        self._cut = min(1.0, 1 / self._ratio)
-        self._reach = math.ceil(ZEROS / self._cut)
-        self._near = np.arange(1 - self._reach, self._reach + 1)
+        self._interpolation = SincInterpolation(sample_rate, drive_rate, zeros=ZEROS, shape=SHAPE)
+        self._reach = self._interpolation.reach
         self._at = 0.0
 
     def waiting(self, contactors: Contactors | slice) -> float:
@@ -220,9 +211,7 @@ class WaveformGrid:
         """
         near = 2 * self._reach
         products = count * (near + int(count * self._ratio)) * len(self._ends)
-        return (
-            GRID_WORK + count * near + products // PRODUCTS + SEGMENT_WORK * len(self.segments)
-        )
+        return GRID_WORK + count * near + products // PRODUCTS + SEGMENT_WORK * len(self.segments)
 
     def read(self, count: int) -> Singles:
         """Return the next samples.
@@ -237,19 +226,15 @@ class WaveformGrid:
         (S, N) array of float32
             Samples [m].
         """
-        time = self._at + self._ratio * np.arange(count)
-        rows = time.astype(np.intp)[:, None] + self._near
-        first = int(rows[0, 0])
-        kernel = np.zeros((count, int(rows[-1, -1]) + 1 - first), np.float32)
-        apart = np.abs(time[:, None] - rows) * self._cut
-        kernel[np.arange(count)[:, None], rows - first] = self._cut * np.interp(apart, *KERNEL)
-        window = np.zeros((kernel.shape[1], len(self._ends)), np.float32)
+        time = np.asarray(self._at + self._ratio * np.arange(count), np.float64)
+        first, weights = self._interpolation.weights(time)
+        window = np.zeros((weights.shape[1], len(self._ends)), np.float32)
         sounds = np.zeros((count, len(self._ends)), np.float32)
         for segment in self.segments:
             segment.add_to(window, first)
             begin, end = np.searchsorted(time, (segment.begin, segment.end))
             sounds[begin:end, segment.contactors] = 1
-        samples: Singles = kernel @ window
+        samples: Singles = weights @ window
         samples *= sounds  # a sinc would be heard before its first sample and after its last one
         self.skip(count)
         return samples

@@ -81,6 +81,9 @@ class Story:
         self.ask(two, m.Select(display=NAME, layers=layers))
         self.ask(one, m.Append(display=NAME, sample_rate_hz=5000, amplitude_um=3, samples=wave))
         self.slide(two, 0.4, velocity=True)
+        self.ask(one, m.TactileFrames(
+            display=NAME, frame_rate_hz=1000, amplitude_um=2, frames=wave[:960],
+        ))  # fmt: skip
         points = m.Point(time_ms=0.0, value=1.0), m.Point(time_ms=500.0, value=0.2)
         self.ask(two, m.PlayEffect(display=NAME, amplitude_um=2, amplitude=points))
         self.slide(one, 0.2)

@@ -486,3 +486,28 @@ def test_an_estop_or_a_fault_between_two_lines_of_a_block_is_no_error(
     monkeypatch.setattr(stage.player, "_take_contacts", stopped)
     stage.player.step()
     assert not stage.player.running
+
+
+@pytest.mark.parametrize("force", [0.0, 0.5])
+def test_latency_is_the_time_from_a_contact_to_the_skin_whether_or_not_a_finger_touches(
+    stage: Stage, force: float
+) -> None:
+    """A contact waits for half a block, rendering for its margin, and a sample for the limiter."""
+    margin, look_ahead = 0.5e-3, 8
+    expected = BLOCK / RATE / 2 + margin + stage.bus.ahead + look_ahead / RATE
+    stage.slide(0.5, force)
+    assert stage.memory.report().latency == pytest.approx(expected, abs=0.05e-3)
+
+
+def test_latency_is_not_known_while_nothing_plays(stage: Stage) -> None:
+    stage.slide(0.1)
+    assert stage.memory.report().latency > 0
+    stage.player.disarm()
+    assert math.isnan(stage.memory.report().latency)
+    stage.player.arm()
+    assert math.isnan(stage.memory.report().latency)
+    stage.slide(0.1)
+    assert stage.memory.report().latency > 0
+    stage.bus.estop()
+    stage.player.write_report()
+    assert math.isnan(stage.memory.report().latency)

@@ -274,3 +274,48 @@ def test_a_watch_that_fails_ends_playback_and_with_it_what_plays(
     with pytest.raises(OSError, match="the device is gone"):
         playing.program.watch()
     assert playing.program._ended
+
+
+def test_frames_that_come_while_playback_waits_are_in_the_very_next_block(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stop that comes then waits for its turn, so that nothing delays the block."""
+    stage.play(WATCH)
+    assert not stage.order(ARM).failure
+    stage.play(0.1)  # until what plays has faded in
+    sleep = stage.player.clock.sleep
+    frames = np.full((1, len(stage.player.display.contactors)), 1e-6, np.float32)
+
+    def arrive(seconds: float) -> None:
+        sleep(seconds)
+        if seconds > 0:
+            stage.program.take(101, commands.AddFrames(ME, frames, 1000.0, latest=True))
+            stage.program.take(102, commands.EndWaves(ME))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stage.player.clock, "sleep", arrive)
+        stage.program.turn()
+    numbers = [one.number for one in stage.said if isinstance(one, OrderAnswer)]
+    assert numbers[-1] == 101
+    stage.program.turn()
+    assert stage.player.rendering.shear == pytest.approx(1e-6, rel=1e-3)  # a block later
+    numbers = [one.number for one in stage.said if isinstance(one, OrderAnswer)]
+    assert numbers[-1] == 102
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_no_more_messages_of_frames_than_of_other_orders_are_taken_in_a_turn(
+    stage: Stage, armed: bool
+) -> None:
+    stage.play(WATCH)
+    if armed:
+        assert not stage.order(ARM).failure
+    frames = np.zeros((1, len(stage.player.display.contactors)), np.float32)
+    before = len(stage.said)
+    for number in range(200, 220):
+        stage.program.take(number, commands.AddFrames(ME, frames, 1000.0, latest=True))
+    turns = []
+    for _ in range(3):
+        stage.program.turn()
+        turns.append(len([one for one in stage.said[before:] if isinstance(one, OrderAnswer)]))
+    assert turns == [8, 16, 20]

@@ -173,6 +173,28 @@ class AppendSamples:
 
 
 @dataclass(frozen=True)
+class AddFrames:
+    """Order to play tactile frames of a client: the shear of all contactors at one instant each.
+
+    Attributes
+    ----------
+    client : int
+        Number of the client.
+    frames : (F, N) array of float32
+        Shear of each contactor [m].
+    frame_rate : float
+        Rate of the frames [Hz].
+    latest : bool
+        Whether only the newest frame counts; otherwise all are played, one after the other.
+    """
+
+    client: int
+    frames: NDArray[np.float32]
+    frame_rate: float
+    latest: bool
+
+
+@dataclass(frozen=True)
 class BeginEffect:
     """Order to play a parametric effect of a client.
 
@@ -253,7 +275,7 @@ class News:
 
 
 Order = (
-    KeepTexture | DropTexture | SetState | AppendSamples | BeginEffect | EndWaves | ForgetClient
-    | ArmDisplay | DisarmDisplay | ClearEstop
+    KeepTexture | DropTexture | SetState | AppendSamples | AddFrames | BeginEffect | EndWaves
+    | ForgetClient | ArmDisplay | DisarmDisplay | ClearEstop
 )  # fmt: skip
 """Any order to a playback process. What needs no preparation is the client's own request."""

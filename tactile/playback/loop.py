@@ -191,9 +191,13 @@ class PlaybackLoop(Mixer):
         """
         return self.bus.due(position) - self.bus.ahead
 
+    def wait(self) -> None:
+        """Wait until it is time to render the next block."""
+        self.clock.sleep(self.write_time(self.position) - MARGIN - self.clock.now())
+
     def step(self) -> None:
         """Wait until it is time for a block, render it and play it."""
-        self.clock.sleep(self.write_time(self.position) - MARGIN - self.clock.now())
+        self.wait()
         now = round(self.clock.now(), TIME_PLACES)
         if not self.running:
             return
@@ -294,6 +298,8 @@ class PlaybackLoop(Mixer):
                 lost_contacts=self.memory.lost_contacts,
                 skipped_samples=self._skipped,
                 dropped_waves=self.dropped_waves,
+                dropped_frames=self.dropped_frames,
+                frame_gaps=self.frame_gaps,
                 late_contacts=self.tracker.late,
                 invalid_contacts=self.tracker.invalid,
             )

@@ -32,7 +32,7 @@ IN_AIR = 10 ** (-34 / 20)
 (docs/guide/physics.md)."""
 MixerOrder = (
     commands.KeepTexture | commands.DropTexture | commands.SetState | commands.AppendSamples
-    | commands.BeginEffect | commands.EndWaves | commands.ForgetClient
+    | commands.AddFrames | commands.BeginEffect | commands.EndWaves | commands.ForgetClient
 )  # fmt: skip
 """Order that changes what is rendered."""
 
@@ -101,6 +101,10 @@ class Mixer:
         Normal forces that the last block was rendered for [N].
     dropped_waves : int
         Number of blocks of a client's waves, and of transients, for which there was no time.
+    dropped_frames : int
+        Number of tactile frames that were not played.
+    frame_gaps : int
+        Number of times that tactile frames came too late, so that the one before them was held.
     """
 
     def __init__(
@@ -124,7 +128,7 @@ class Mixer:
         ContactTracker().at(np.zeros(BLOCK), 0.0)  # the first call is slow: make it before playing
         self.tracker = ContactTracker()
         self.place, self.force = np.zeros((1, 2)), np.zeros(1)
-        self.dropped_waves = self._client = 0
+        self.dropped_waves = self.dropped_frames = self.frame_gaps = self._client = 0
         self._rate = sample_rate
         step = 1 / (display.limits.fade * sample_rate)
         self._air = Ramp(step, 1.0 if worn else IN_AIR)
@@ -172,8 +176,7 @@ class Mixer:
         """
         voice = self.voices.get(client)
         if voice is not None:
-            voice.queue.clear()
-            voice.effect.begin(None)
+            voice.end_waves()
             voice.state.layers, voice.has_left = (), True
             self.refresh(client)
 
@@ -216,9 +219,10 @@ class Mixer:
                 self.voice(order.client).effect.begin(order.curve)
             case commands.AppendSamples():
                 return self._append(order)
+            case commands.AddFrames():
+                self._add_frames(order)
             case commands.EndWaves():
-                self.voice(order.client).queue.clear()
-                self.voice(order.client).effect.begin(None)
+                self.voice(order.client).end_waves()
             case commands.ForgetClient():
                 self.forget(order.client)
         return ()
@@ -230,6 +234,15 @@ class Mixer:
             waves.clear(order.contactors)
         taken = waves.append(order.samples, order.sample_rate, order.contactors, order.longest)
         return float(taken), waves.waiting(order.contactors)
+
+    def _add_frames(self, order: commands.AddFrames) -> None:
+        """Play tactile frames, unless the client has stopped what it plays."""
+        voice, late = self.voice(order.client), False
+        dropped = len(order.frames)
+        if voice.state.sounds:
+            dropped, late = voice.frames.add(order.frames, order.frame_rate, latest=order.latest)
+        self.dropped_frames += dropped
+        self.frame_gaps += late
 
     def silence(self) -> None:
         """Drop all waves and fade in, before playing begins: no earlier wave continues."""

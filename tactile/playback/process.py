@@ -30,7 +30,14 @@ from tactile.errors import BusError, BusStateError, TactileError
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.messages import ArmDisplay, ClearEstop, DisarmDisplay
 from tactile.playback import priority
-from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, PlaybackSetup
+from tactile.playback.commands import (
+    AddFrames,
+    DeviceOpened,
+    News,
+    Order,
+    OrderAnswer,
+    PlaybackSetup,
+)
 from tactile.playback.estimates import Estimates, ProcessEstimates
 from tactile.playback.finger_following import WINDOW_MS, FingerFollowing
 from tactile.playback.loop import PlaybackLoop, state_of
@@ -75,6 +82,7 @@ class Program:
     ) -> None:
         self._player, self._latch, self._send = player, latch, say
         self._orders: deque[tuple[int, Order]] = deque()
+        self._frames: deque[tuple[int, Order]] = deque()
         self._wake = threading.Event()
         self._stopping = threading.Lock()
         self._estop = 0
@@ -106,7 +114,8 @@ class Program:
         order : Order
             Order to execute.
         """
-        self._orders.append((number, order))
+        orders = self._frames if isinstance(order, AddFrames) else self._orders
+        orders.append((number, order))
         self._wake.set()
 
     def end(self) -> None:
@@ -124,20 +133,27 @@ class Program:
         """
         player = self._player
         self.look_at_latch()
-        for _ in range(min(len(self._orders), MOST_ORDERS)):
-            self._answer(*self._orders.popleft())
+        self._execute_next(self._orders)
         if self._server_silent and player.running:
             player.disarm()
             self._send(News("disarmed", f"the server was silent for {SILENCE:g} s"))
         if player.running:
+            player.wait()
+            self._execute_next(self._frames)  # as late as contacts: they take little time
             player.step()
             self._send_touches()
             if player.report.blocks % 16 == 0:
                 self._send_changes()
         else:
+            self._execute_next(self._frames)
             player.write_report()
             self._send_changes()
-        return player.running or bool(self._orders)
+        return player.running or bool(self._orders or self._frames)
+
+    def _execute_next(self, orders: deque[tuple[int, Order]]) -> None:
+        """Execute the next of the orders that wait, as many as may delay a block."""
+        for _ in range(min(len(orders), MOST_ORDERS)):
+            self._answer(*orders.popleft())
 
     # Methods that another thread calls
 

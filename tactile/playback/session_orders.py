@@ -42,7 +42,7 @@ class TextureDescription:
 
 SessionOrder = (
     TextureDescription | commands.DropTexture | commands.SetState | commands.AppendSamples
-    | commands.BeginEffect | commands.EndWaves | commands.ForgetClient
+    | commands.AddFrames | commands.BeginEffect | commands.EndWaves | commands.ForgetClient
 )  # fmt: skip
 """Order to playback as a session holds it."""
 KINDS: dict[str, type[SessionOrder]] = {
@@ -50,6 +50,7 @@ KINDS: dict[str, type[SessionOrder]] = {
     "drop": commands.DropTexture,
     "state": commands.SetState,
     "samples": commands.AppendSamples,
+    "frames": commands.AddFrames,
     "effect": commands.BeginEffect,
     "end-waves": commands.EndWaves,
     "forget": commands.ForgetClient,

@@ -54,6 +54,10 @@ class PlaybackCounters(BusCounters):
         Number of positions that playback left out because it was late.
     dropped_waves : int
         Number of blocks of a client's waves, and of transients, for which there was no time.
+    dropped_frames : int
+        Number of tactile frames that were not played.
+    frame_gaps : int
+        Number of times that tactile frames came too late, so that the one before them was held.
     finger_windows, dropped_finger_windows : int
         Number of windows of current from which loads were estimated, and of those that could not be
         used.
@@ -71,6 +75,8 @@ class PlaybackCounters(BusCounters):
     lost_contacts: int = 0
     skipped_samples: int = 0
     dropped_waves: int = 0
+    dropped_frames: int = 0
+    frame_gaps: int = 0
     finger_windows: int = 0
     dropped_finger_windows: int = 0
     touched_contactors: int = 0

@@ -1,10 +1,11 @@
-"""Voice of a client: the textures, the waveforms and the effects that it plays."""
+"""Voice of a client: the textures, waveforms, effects and tactile frames that it plays."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from tactile.arrays import Singles
+from tactile.playback.frame_stream import FramePlayer
 from tactile.playback.waveforms import WaveformQueue
 from tactile.playback.waves import EffectPlayer
 
@@ -44,6 +45,8 @@ class Voice:
         Streamed waveforms.
     effect : EffectPlayer
         Parametric effects.
+    frames : FramePlayer
+        Stream of tactile frames.
     state : ClientState
         Textures and gain.
     has_left : bool
@@ -60,8 +63,20 @@ class Voice:
         """Drop all waves at once, while nothing sounds."""
         self.queue = WaveformQueue(self._rate, self._contactors)
         self.effect = EffectPlayer(self._rate)
+        self.frames = FramePlayer(self._rate, self._contactors)
         self._last: Singles | None = None
         self._silent = False
+
+    @property
+    def _parts(self) -> tuple[WaveformQueue, EffectPlayer, FramePlayer]:
+        """Players of its waves."""
+        return self.queue, self.effect, self.frames
+
+    def end_waves(self) -> None:
+        """Let all waves fade and drop them."""
+        self.queue.clear()
+        self.effect.begin(None)
+        self.frames.end()
 
     def work(self, count: int) -> int:
         """Return the work of the next samples of its waves.
@@ -76,7 +91,7 @@ class Voice:
         int
             Work; 0 without waves.
         """
-        return self.queue.work(count) + self.effect.work(count)
+        return sum(part.work(count) for part in self._parts)
 
     def take(self, count: int) -> Singles | None:
         """Return the next samples of its waves.
@@ -91,8 +106,11 @@ class Voice:
         (S, N) or (S, 1) array of float32 or None
             Shear [m]; None without waves.
         """
-        parts = [p for p in (self.queue.take(count), self.effect.take(count)) if p is not None]
-        wave = parts[0] + parts[1] if len(parts) == 2 else parts[0] if parts else None
+        wave = None
+        for part in self._parts:
+            shear = part.take(count)
+            if shear is not None:
+                wave = shear if wave is None else wave + shear
         self._last = wave
         if wave is not None and self._silent:
             wave = wave * _rise(count)
@@ -112,8 +130,8 @@ class Voice:
         (S, N) or (S, 1) array of float32 or None
             Fade to silence [m]; None if there was no wave in the block before.
         """
-        self.queue.skip(count)
-        self.effect.skip(count)
+        for part in self._parts:
+            part.skip(count)
         last, self._last, self._silent = self._last, None, True
         return None if last is None else last[-1] * (1 - _rise(count))
 

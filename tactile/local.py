@@ -27,7 +27,7 @@ from tactile.messages import (
     Answer,
     ClientHello,
     Command,
-    Contact,
+    Streamed,
     Welcome,
     id_of,
 )
@@ -126,8 +126,8 @@ class LocalTransport:
 
     def _take(self, command: Command, arrival: float) -> None:
         answer: Answer | None
-        if isinstance(command, Contact):
-            answer = self._client.contact(command, arrival)
+        if isinstance(command, Streamed):
+            answer = self._client.stream(command, arrival)
         elif isinstance(command, ClientHello):
             answer = Welcome(
                 id=command.id, server="local", version=API_VERSION, session="local",

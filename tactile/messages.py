@@ -6,10 +6,11 @@ MessagePack in binary frames.
 
 The first message of a client is `ClientHello`, which the server answers with `Welcome`. Every
 request may carry an ``id``. It is answered by `Done`, by a reply of its own type or by `Failure`,
-each with the same ``id``. `Contact` messages are a stream: one is answered only if something is
-wrong with it. Either side ignores fields that it does not know; a message of an unknown ``type`` is
-answered by a `Failure` with the code ``unknown_type``. The contents of a message are validated
-while it is decoded, and a `Failure` names the path of the offending field.
+each with the same ``id``. `Contact` and `TactileFrames` are streams: one of their messages is
+answered only if something is wrong with it, and none waits for a request. Either side ignores
+fields that it does not know; a message of an unknown ``type`` is answered by a `Failure` with the
+code ``unknown_type``. The contents of a message are validated while it is decoded, and a `Failure`
+names the path of the offending field.
 
 Positions are in the plane of the surface, in millimeters. Times that a client sends are in
 microseconds of its own monotonic clock; the server maps those of `Contact` to its clock by the
@@ -22,10 +23,10 @@ with its gain, added up; the waveforms of all clients are added to that. `SetGai
 that its client plays. The sum is limited as a whole, so that the tactile image keeps its shape. An
 e-stop takes precedence over everything else.
 
-The waveforms and effects of all clients share a fixed part of the computing time of a block. If it
-does not suffice, clients take turns of a tenth of a second; what is silent meanwhile still advances
-in time. At most 16 transients of one effect sound at once. Blocks of a client's waveforms and
-transients that were left out are counted as ``dropped_waves``.
+The waveforms, effects and tactile frames of all clients share a fixed part of the computing time of
+a block. If it does not suffice, clients take turns of a tenth of a second; what is silent meanwhile
+still advances in time. At most 16 transients of one effect sound at once. Blocks of a client's
+waves, and transients, that were left out are counted as ``dropped_waves``.
 
 **Closing.** The server closes a connection with one of these codes:
 
@@ -75,6 +76,8 @@ MOST_LAYERS = 4
 MOST_SAMPLES = 4000
 """Maximum number of samples of a waveform in one message, as in XR_FB_haptic_pcm
 (XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB)."""
+MOST_FRAME_VALUES = 16_000
+"""Maximum number of values of the tactile frames in one message: 64 kB less its other fields."""
 MOST_POINTS = 500
 """Maximum number of points of each curve of a parametric effect in one message, as in
 XR_EXT_haptic_parametric."""
@@ -352,7 +355,9 @@ class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
     """Queue a waveform of tangential shear; requires the role "play" and an armed display.
 
     It follows XR_FB_haptic_pcm: samples that do not fit in the client's buffer are not taken.
-    `AppendedReply` tells how many were taken; the client sends the rest again.
+    `AppendedReply` tells how many were taken; the client sends the rest again. Each contactor has a
+    queue of its own, and a waveform of several contactors begins on all of them at once, when the
+    last one is free.
 
     Attributes
     ----------
@@ -364,8 +369,8 @@ class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
         Samples from −1 to 1, at most 4000: a list of numbers, or little-endian float32 as a binary
         field of MessagePack (a base64 string in JSON).
     append : bool
-        Whether to play the samples after those that are queued. If false, the queued samples are
-        dropped first, even if none of the new samples is taken.
+        Whether to play the samples after those that are queued. If false, what is queued for the
+        same contactors is dropped first, even if none of the new samples is taken.
     contactors : list of int
         Indices of the contactors that play the waveform; all if the list is empty.
     """
@@ -380,6 +385,46 @@ class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
     contactors: Annotated[
         tuple[Annotated[int, Meta(ge=0, le=4095)], ...], Meta(max_length=4096)
     ] = ()
+
+
+class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
+    """Stream tactile frames; requires the role "play".
+
+    A tactile frame is the shear of every contactor at one instant. It is not a request: it has no
+    ``id``, and only frames that cannot be used are answered, by a `Failure`. Frames that come while
+    the display is not armed, after `StopPlaying`, or faster than they are played, are not played,
+    and are counted as ``dropped_frames``. If a frame comes too late, the one before it is held,
+    which is counted as ``frame_gaps``; if no frame comes any more, the stream fades out within a
+    tenth of a second. A client has one stream on a display: frames of another rate, or with
+    another ``latest``, replace it.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    frame_rate_hz : float
+        Rate of the frames [Hz].
+    amplitude_um : float
+        Shear that a value of 1 stands for [µm].
+    frames : list of float, or bytes
+        Values from −1 to 1, frame by frame, each with one value for every contactor, at most 16 000
+        in all: a list of numbers, or little-endian float32 as a binary field of MessagePack (a
+        base64 string in JSON).
+    latest : bool
+        Whether only the newest frame counts: the signal moves to it in a straight line, within the
+        period of the frames, as soon as it comes. If false, every frame is played, in a
+        band-limited signal (up to 0.32 of the rate), which follows the clock of the source. It is
+        four frames and 3 ms behind the frames as they come, more if the source is not even.
+    """
+
+    display: Name
+    frame_rate_hz: Annotated[float, Meta(ge=100, le=48_000)]
+    amplitude_um: Micrometers
+    frames: (
+        Annotated[tuple[Signed, ...], Meta(max_length=MOST_FRAME_VALUES)]
+        | Annotated[bytes, Meta(max_length=4 * MOST_FRAME_VALUES)]
+    )
+    latest: bool = False
 
 
 class Point(Struct, frozen=True, array_like=True):
@@ -575,7 +620,8 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
     voltage_limit_v : float
         Limit of the drive [V].
     waveforms : bool
-        Whether the link carries samples. If false, `Append` and `PlayEffect` are unsupported.
+        Whether the link carries samples. If false, `Append`, `PlayEffect` and `TactileFrames` are
+        unsupported.
     latency_ms : float
         Approximate latency from a contact message to the skin [ms].
     estop : int
@@ -740,7 +786,7 @@ class AppendedReply(Reply, frozen=True, kw_only=True, tag="appended"):
     samples_consumed : int
         Number of samples that were taken, counted from the first.
     buffered_ms : float
-        Playing time of what is queued for this client [ms].
+        Playing time of what is queued for these contactors of this client [ms].
     """
 
     samples_consumed: int
@@ -967,10 +1013,12 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     played: TelemetryTrace | None = None
 
 
+Streamed = Contact | TactileFrames
+"""Message of a client that is part of a stream: it is no request and waits for none."""
 Command = (
     ClientHello | ListTextures | DrawTexture | Select | Contact | Resume | StopPlaying | SetGain
-    | Append | PlayEffect | ListEffects | PlayNamedEffect | ArmDisplay | DisarmDisplay | EStop
-    | ClearEstop | Subscribe | GetStats | Ping
+    | Append | TactileFrames | PlayEffect | ListEffects | PlayNamedEffect | ArmDisplay
+    | DisarmDisplay | EStop | ClearEstop | Subscribe | GetStats | Ping
 )  # fmt: skip
 """Any message of a client."""
 Answer = (

@@ -26,6 +26,8 @@ DEAD_MAN = 0.25
 """Longest time from the server's last heartbeat to 0 V [s]."""
 UNOWNED = 1.0
 """Longest time until the high voltage is off after the last client that had armed has left [s]."""
+FRAMES = (0.9, 0.9, -0.9, -0.9) * 150
+"""Values of tactile frames for two contactors: 0.6 s at 500 Hz."""
 DEVICES = {"left": "mock:", "right": "mock:?format=pcm12"}
 
 
@@ -160,6 +162,9 @@ class Judged(RuleBasedStateMachine):
             "effect": lambda: m.PlayEffect(display=name, amplitude_um=20.0, amplitude=point),
             "append": lambda: m.Append(
                 display=name, sample_rate_hz=500.0, amplitude_um=20.0, samples=(0.9, -0.9) * 300
+            ),
+            "frames": lambda: m.TactileFrames(
+                display=name, frame_rate_hz=500.0, amplitude_um=20.0, frames=FRAMES
             ),
             "select": lambda: m.Select(display=name, layers=(m.Layer(texture="wood-oak"),)),
             "touch": lambda: m.Contact(display=name, position_mm=(1.0, 0), normal_force_n=0.5),

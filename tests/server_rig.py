@@ -45,6 +45,7 @@ from tactile.messages import (
     Select,
     StatsReply,
     Subscribe,
+    TactileFrames,
     TelemetryMessage,
     TextureInfo,
     TexturePicture,
@@ -99,6 +100,12 @@ class Hand(Client):
         if message.display not in self.hands.names:
             return Failure(code="unknown_display", message="no display", field="display")
         self.contacts.append(message)
+        self.hands.log.append((self.name, message))
+        return None
+
+    def frames(self, message: TactileFrames) -> Failure | None:
+        if self.hands.broken:
+            raise ZeroDivisionError
         self.hands.log.append((self.name, message))
         return None
 
@@ -336,6 +343,10 @@ CONTACT = {
     "type": "contact", "display": "right", "position_mm": [1.0, 2.0], "normal_force_n": 0.5,
     "time_us": 5, "velocity_mm_s": [80.0, 0.0],
 }  # fmt: skip
+FRAMES = {
+    "type": "frames", "display": "right", "frame_rate_hz": 1000, "amplitude_um": 5,
+    "frames": [0.5, -1], "latest": True,
+}  # fmt: skip
 SELECT = {"type": "select", "display": "right", "layers": [{"texture": "wood-oak"}]}
 PICTURE = {
     "type": "draw_texture", "texture": TEXTURE, "left_mm": 0, "bottom_mm": 0, "pixel_mm": 1,
@@ -444,4 +455,8 @@ BAD = [
     Bad({"type": "subscribe", "display": "right", "rate_hz": 1e9}, "invalid_field", "rate_hz"),
     Bad({"type": "hello", "client": "again", "id": 7}, "unsupported", "type"),
     Bad(dict(CONTACT, display="middle"), "unknown_display", "display"),
+    Bad(dict(FRAMES, frames=[0, 1.01]), "invalid_field", "frames[1]"),
+    Bad(dict(FRAMES, frame_rate_hz=99), "invalid_field", "frame_rate_hz"),
+    Bad(dict(FRAMES, amplitude_um=501), "invalid_field", "amplitude_um"),
+    Bad(dict(FRAMES, latest="newest"), "invalid_field", "latest"),
 ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+import struct
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +20,7 @@ from tactile.messages import (
     Select,
     SetGain,
     Subscribe,
+    TactileFrames,
 )
 from tactile.server.config import TokenConfig
 
@@ -126,6 +128,25 @@ async def test_too_many_contacts_are_counted_here_and_none_is_refused_there(
         assert len(contacts) + dropped == 5001
         assert dropped > 4000
         assert contacts[-1].normal_force_n == 0  # the finger is lifted all the same
+        assert await javascript.run("return kept.failures") == []
+
+
+async def test_frames_arrive_as_they_were_sent_and_too_many_are_counted(javascript: Node) -> None:
+    stream = "{frame_rate_hz: 1000, amplitude_um: 5, latest: true}"
+    async with serving(messages_per_second=200) as (there, hands):
+        await opened(javascript, there.url)
+        dropped = await javascript.run(
+            f"kept.d.frames(new Float32Array([0.5, -1]), {stream});"
+            f"kept.d.frames([0.25], {stream});"
+            f"for (let k = 0; k < 5000; k++) kept.d.frames([0], {stream});"
+            "await kept.d.stats(); return kept.d.droppedFrames"
+        )
+        frames = commands(hands, TactileFrames)
+        assert len(frames) + dropped == 5002
+        assert dropped > 4000
+        first, second = frames[:2]
+        assert (first.frames, second.frames) == (struct.pack("<2f", 0.5, -1.0), (0.25,))
+        assert (first.frame_rate_hz, first.amplitude_um, first.latest) == (1000.0, 5.0, True)
         assert await javascript.run("return kept.failures") == []
 
 

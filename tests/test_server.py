@@ -4,6 +4,7 @@ Figures are counts and orders, not times: what one client does must not show in 
 """
 
 import asyncio
+import struct
 from typing import Any
 
 import jsonschema  # type: ignore[import-untyped]
@@ -11,6 +12,7 @@ import pytest
 from server_rig import (
     BAD,
     CONTACT,
+    FRAMES,
     GOOD,
     LARGE,
     PICTURE,
@@ -25,12 +27,14 @@ from server_rig import (
 from websockets.typing import Subprotocol
 
 from tactile.messages import (
+    JSON_PROTOCOL,
     ArmDisplay,
     DisarmDisplay,
     DrawTexture,
     EStop,
     GetStats,
     Select,
+    TactileFrames,
 )
 from tactile.server import connection
 
@@ -71,6 +75,21 @@ async def test_a_contact_reaches_the_host_and_is_not_answered(protocol: str) -> 
         (contact,) = hands.clients[0].contacts
         assert contact.position_mm == (1.0, 2.0)
         assert contact.velocity_mm_s == (80.0, 0.0)
+
+
+@each_encoding
+async def test_frames_reach_the_host_beside_requests_and_are_not_answered(protocol: str) -> None:
+    values = [0.5, -1.0] if protocol == JSON_PROTOCOL else struct.pack("<2f", 0.5, -1.0)
+    async with serving() as (there, hands), talking(there, protocol) as talker:
+        hands.gate.clear()
+        await talker.send(**SELECT, id=1)  # textures that are being prepared delay no stream
+        await talker.send(**FRAMES | {"frames": values})
+        assert (await talker.ask(type="ping", time_us=1))["type"] == "pong"
+        (frames,) = [said for _, said in hands.log if isinstance(said, TactileFrames)]
+        assert frames.frames == (tuple(values) if isinstance(values, list) else values)
+        assert (frames.frame_rate_hz, frames.amplitude_um, frames.latest) == (1000.0, 5.0, True)
+        hands.gate.set()
+        assert (await talker.receive())["id"] == 1
 
 
 async def test_events_and_telemetry_come_between_answers() -> None:

@@ -13,6 +13,7 @@ from repeating import often
 from server_rig import (
     BOTH,
     CONTACT,
+    FRAMES,
     GOOD,
     Talker,
     each_encoding,
@@ -33,7 +34,8 @@ from tactile.server.server import running
 pytestmark = pytest.mark.usefixtures("patient")
 
 
-CORPUS = [message for message, _ in GOOD.values() if message["type"] != "arm"] + [CONTACT]
+CORPUS = [message for message, _ in GOOD.values() if message["type"] != "arm"]
+CORPUS += [CONTACT, FRAMES]
 """Messages that do not arm; the fuzz shows that nothing else arms either."""
 ODD: list[Any] = [
     None, True, -1, 0, 2**63, 1e308, "", "right", "../x", "\0", [], {}, [[]], [0] * 5000, {"a": {}},

@@ -5,6 +5,7 @@ tested in virtual time (`test_playback_process`, `test_estop_model`).
 """
 
 import asyncio
+import struct
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
@@ -21,7 +22,7 @@ from msgspec import structs
 from tactile import messages as m
 from tactile import processes
 from tactile.errors import BusError, InputError
-from tactile.playback.commands import DeviceOpened
+from tactile.playback.commands import AddFrames, DeviceOpened
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.rendering.surface_picture import SurfaceSection, draw_surface
 from tactile.server import client as client_module
@@ -30,6 +31,7 @@ from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, ServerConfig
 from tactile.server.effects import load_effects
 from tactile.server.host import Host
+from tactile.server.playing import MOST_FRAME_ORDERS
 from tactile.texture.surface import load_texture
 
 T = TypeVar("T")
@@ -238,6 +240,120 @@ def test_waves_need_an_armed_display_and_contactors_that_there_are(program: Prog
         assert failure(program.ask(wave)).field == "samples"
 
 
+def frames(values: bytes | tuple[float, ...], **options: Any) -> m.TactileFrames:
+    return m.TactileFrames(
+        display=NAME, frame_rate_hz=1e3, amplitude_um=5.0, frames=values, **options
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ((0.0,) * 25, "25 values are no whole number of frames for 24 contactors"),
+        (b"abc", "needs float32, at most 16000 of them"),
+        (b"\0\0\xc0\x7f" * 24, "must be −1 … 1 throughout"),
+        (b"\0\0\0\x40" * 24, "must be −1 … 1 throughout"),
+    ],
+)
+def test_frames_that_do_not_fit_are_refused(
+    program: Program, values: bytes | tuple[float, ...], text: str
+) -> None:
+    told = failure(program.ask(frames(values)))
+    assert (told.code, told.field, told.message) == ("invalid_field", "frames", text)
+
+
+def test_frames_for_no_display_and_for_spectrum_frames_are_refused(
+    program: Program, host: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unknown = structs.replace(frames(()), display="rihgt")
+    assert failure(program.ask(unknown)).code == "unknown_display"
+    playing = host.playing[NAME]
+    monkeypatch.setattr(playing, "how", replace(playing.how, carriers=4))
+    assert failure(program.ask(frames(()))).code == "unsupported"
+
+
+def test_frames_are_played_while_the_display_is_armed_and_counted_otherwise(
+    program: Program, host: Host
+) -> None:
+    """Each contactor has a shear of its own: k / 24 of 5 µm."""
+    disarm(program)
+    before = program.stats().counters["dropped_frames"]
+    values = tuple(k / 24 for k in range(24))
+    assert program.ask(frames(values * 3)) == [m.Done()]
+    assert program.stats().counters["dropped_frames"] == before + 3
+    assert program.ask(m.ArmDisplay(display=NAME)) == [m.Done()]
+    program.until(lambda stats: stats.state == "armed")
+    memory = host.playing[NAME].memory
+
+    def is_reached(_: m.StatsReply) -> bool:
+        program.touch()
+        program.ask(frames(values * 600))  # more than half a second, however slow this machine is
+        return bool(np.allclose(memory.shear, 5e-6 * np.array(values), rtol=0.005, atol=1e-9))
+
+    program.until(is_reached)
+    program.until(lambda _: not memory.shear.any())  # the source has stopped
+    before = program.stats().counters["dropped_frames"]
+    program.ask(m.StopPlaying(display=NAME))
+    program.ask(frames(values * 2))
+    program.until(lambda stats: stats.counters["dropped_frames"] == before + 2)
+
+
+def test_24_waveforms_for_24_contactors_play_at_the_same_time(program: Program, host: Host) -> None:
+    """Each contactor has a level of its own, for a second; all are taken whole."""
+    assert program.ask(m.ArmDisplay(display=NAME)) == [m.Done()]
+    program.until(lambda stats: stats.state == "armed")
+    memory = host.playing[NAME].memory
+    level = np.arange(1, 25) / 24
+
+    def plays(_: m.StatsReply) -> bool:
+        program.touch()
+        waves = [
+            m.Append(
+                display=NAME, sample_rate_hz=4e3, amplitude_um=5.0, contactors=(k,), append=False,
+                samples=struct.pack("<f", value) * m.MOST_SAMPLES,
+            )
+            for k, value in enumerate(level)
+        ]  # fmt: skip
+        answers = program.ask(*waves)
+        assert [getattr(answer, "samples_consumed", 0) for answer in answers] == [4000] * 24
+        return bool(np.allclose(memory.shear, 5e-6 * level, rtol=0.005, atol=1e-9))
+
+    program.until(plays)
+    program.ask(m.StopPlaying(display=NAME))
+
+
+def test_the_latency_is_null_while_nothing_plays(program: Program) -> None:
+    disarm(program)
+    assert program.stats().latency_ms is None
+    program.ask(m.ArmDisplay(display=NAME))
+    program.until(lambda stats: (stats.latency_ms or 0) > 0)
+    disarm(program)
+    program.until(lambda stats: stats.latency_ms is None)
+
+
+def test_frames_that_playback_does_not_take_are_dropped_for_their_client_alone(
+    runner: Loop, host: Host, program: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing grows while playback takes no orders."""
+    other = Program(runner, host)
+    assert program.ask(m.ArmDisplay(display=NAME)) == [m.Done()]
+    program.until(lambda stats: stats.state == "armed")
+    before = program.stats().counters["dropped_frames"]
+    sent: list[Any] = []
+    message = frames((0.0,) * 48)
+    with monkeypatch.context() as patch:
+        patch.setattr(host.playing[NAME].child, "send", sent.append)
+        for one in (program, other):
+            one.runner.call(lambda: [one.client.frames(message) for _ in range(100)])  # noqa: B023
+    assert [order.client for _, order in sent] == (
+        [program.client.number] * MOST_FRAME_ORDERS + [other.client.number] * MOST_FRAME_ORDERS
+    )
+    assert all(isinstance(order, AddFrames) for _, order in sent)
+    dropped = 2 * 2 * (100 - MOST_FRAME_ORDERS)
+    assert program.stats().counters["dropped_frames"] == before + dropped
+    other.close()
+
+
 def test_effects_are_the_files_of_a_folder_that_can_be_played(program: Program) -> None:
     (listed,) = program.ask(m.ListEffects())
     description = "ten seconds of 160 Hz at half of 10 µm"
@@ -373,6 +489,7 @@ PERMISSIONS: dict[Any, set[str]] = {
     m.StopPlaying(display=NAME): {"play"},
     m.SetGain(display=NAME, gain=1.0): {"play"},
     m.Append(display=NAME, sample_rate_hz=1000.0, amplitude_um=1.0, samples=(0.0,)): {"play"},
+    m.TactileFrames(display=NAME, frame_rate_hz=1e3, amplitude_um=1.0, frames=()): {"play"},
     m.PlayEffect(display=NAME, amplitude_um=1.0): {"play"},
     m.ListEffects(): set(),
     m.PlayNamedEffect(display=NAME, effect="tap"): {"play"},

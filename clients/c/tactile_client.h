@@ -419,7 +419,9 @@ typedef struct {
  * Queue a waveform of tangential shear; requires the role "play" and an armed display.
  *
  * It follows XR_FB_haptic_pcm: samples that do not fit in the client's buffer are not taken.
- * `AppendedReply` tells how many were taken; the client sends the rest again.
+ * `AppendedReply` tells how many were taken; the client sends the rest again. Each contactor has a
+ * queue of its own, and a waveform of several contactors begins on all of them at once, when the
+ * last one is free.
  */
 typedef struct {
   /** Identifier chosen by the client, which the answer repeats. */
@@ -440,8 +442,8 @@ typedef struct {
   bool has_samples_bytes;
   tactile_bytes samples_bytes;
   /**
-   * Whether to play the samples after those that are queued. If false, the queued samples are
-   * dropped first, even if none of the new samples is taken.
+   * Whether to play the samples after those that are queued. If false, what is queued for the
+   * same contactors is dropped first, even if none of the new samples is taken.
    * Default: true.
    */
   bool has_append;
@@ -449,6 +451,42 @@ typedef struct {
   /** Indices of the contactors that play the waveform; all if the list is empty. */
   tactile_integer_list contactors;
 } tactile_append;
+
+/**
+ * Stream tactile frames; requires the role "play".
+ *
+ * A tactile frame is the shear of every contactor at one instant. It is not a request: it has no
+ * `id`, and only frames that cannot be used are answered, by a `Failure`. Frames that come while
+ * the display is not armed, after `StopPlaying`, or faster than they are played, are not played,
+ * and are counted as `dropped_frames`. If a frame comes too late, the one before it is held,
+ * which is counted as `frame_gaps`; if no frame comes any more, the stream fades out within a
+ * tenth of a second. A client has one stream on a display: frames of another rate, or with
+ * another `latest`, replace it.
+ */
+typedef struct {
+  /** Name of the display. */
+  tactile_text display;
+  /** Rate of the frames [Hz]. */
+  double frame_rate_hz;
+  /** Shear that a value of 1 stands for [µm]. */
+  double amplitude_um;
+  /**
+   * Values from −1 to 1, frame by frame, each with one value for every contactor, at most 16 000
+   * in all: a list of numbers, or little-endian float32 as a binary field of MessagePack (a
+   * base64 string in JSON).
+   */
+  tactile_number_list frames;
+  /** Alternative to `frames`, which is used if the flag is set. */
+  bool has_frames_bytes;
+  tactile_bytes frames_bytes;
+  /**
+   * Whether only the newest frame counts: the signal moves to it in a straight line, within the
+   * period of the frames, as soon as it comes. If false, every frame is played, in a
+   * band-limited signal (up to 0.32 of the rate), which follows the clock of the source. It is
+   * four frames and 3 ms behind the frames as they come, more if the source is not even.
+   */
+  bool latest;
+} tactile_frames;
 
 /** Amplitude at a time, an array [time_ms, value]; linear between points. */
 typedef struct {
@@ -663,7 +701,10 @@ typedef struct {
   double sample_rate_hz;
   /** Limit of the drive [V]. */
   double voltage_limit_v;
-  /** Whether the link carries samples. If false, `Append` and `PlayEffect` are unsupported. */
+  /**
+   * Whether the link carries samples. If false, `Append`, `PlayEffect` and `TactileFrames` are
+   * unsupported.
+   */
   bool waveforms;
   /** Approximate latency from a contact message to the skin [ms]. */
   double latency_ms;
@@ -819,7 +860,7 @@ typedef struct {
   int64_t id;
   /** Number of samples that were taken, counted from the first. */
   int64_t samples_consumed;
-  /** Playing time of what is queued for this client [ms]. */
+  /** Playing time of what is queued for these contactors of this client [ms]. */
   double buffered_ms;
 } tactile_appended;
 
@@ -1247,6 +1288,19 @@ static const tactile_field tactile_fields_append[] = {
 static const tactile_shape tactile_shape_append = {
     TACTILE_FORM_STRUCTURE, sizeof(tactile_append), 8,
     NULL, tactile_tag_append, tactile_fields_append};
+
+static const char *const tactile_tag_frames[] = {"frames"};
+static const tactile_field tactile_fields_frames[] = {
+    TACTILE_FIELD(frames, display, text, TACTILE_REQUIRED),
+    TACTILE_FIELD(frames, frame_rate_hz, number, TACTILE_REQUIRED),
+    TACTILE_FIELD(frames, amplitude_um, number, TACTILE_REQUIRED),
+    TACTILE_NAMED("frames", frames, frames_bytes, bytes, TACTILE_INSTEAD, 0),
+    TACTILE_FIELD(frames, frames, number_list, TACTILE_REQUIRED),
+    TACTILE_FIELD(frames, latest, boolean, TACTILE_OPTIONAL),
+};
+static const tactile_shape tactile_shape_frames = {
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_frames), 6,
+    NULL, tactile_tag_frames, tactile_fields_frames};
 
 static const tactile_field tactile_fields_point[] = {
     TACTILE_FIELD(point, time_ms, number, TACTILE_REQUIRED),
@@ -1828,6 +1882,11 @@ static inline size_t tactile_encode_gain(
 static inline size_t tactile_encode_append(
     const tactile_append *message, uint8_t *out, size_t room) {
   return tactile_encode(&tactile_shape_append, message, out, room);
+}
+
+static inline size_t tactile_encode_frames(
+    const tactile_frames *message, uint8_t *out, size_t room) {
+  return tactile_encode(&tactile_shape_frames, message, out, room);
 }
 
 static inline size_t tactile_encode_effect(

@@ -22,11 +22,14 @@ from tactile.messages import (
     Contact,
     EventMessage,
     Failure,
+    Streamed,
+    TactileFrames,
     TelemetryMessage,
     kind_of,
 )
 from tactile.playback import commands
 from tactile.playback.followed_finger import FollowedFinger
+from tactile.playback.frame_stream import FADE, HOLD
 from tactile.playback.shear_ring import ShearRing
 from tactile.playback.waveforms import ENDING
 from tactile.playback.waves import Curve
@@ -46,6 +49,8 @@ OUTBOX = 64
 """Maximum number of events and telemetry messages that wait for a client."""
 SILENT = "the program gave no sign of life; its waveforms and effects were faded"
 """Detail of the event "silent"."""
+NO_WAVEFORMS = "the link takes spectrum frames, which carry textures and no waveforms"
+"""Reason why waveforms, effects and tactile frames are refused on such a link."""
 PLAY: frozenset[m.Role] = frozenset({"play"})
 """Roles that allow playing."""
 ARM: frozenset[m.Role] = frozenset({"arm"})
@@ -191,6 +196,62 @@ class Client:
         playing.add_sample(self.number, sample)
         return None
 
+    def frames(self, message: TactileFrames) -> Failure | None:
+        """Take tactile frames.
+
+        Parameters
+        ----------
+        message : TactileFrames
+            Message of the client.
+
+        Returns
+        -------
+        Failure or None
+            What is wrong with the frames.
+        """
+        playing = self._host.playing.get(message.display)
+        if playing is None:
+            return self._unknown_display(message.display)
+        if not PLAY & self.roles:
+            return self._refusal(message, PLAY)
+        if playing.how.carriers:
+            return failed("unsupported", NO_WAVEFORMS, field="display")
+        values = _unit_values(message.frames, m.MOST_FRAME_VALUES, "frames")
+        if isinstance(values, Failure):
+            return values
+        contactors = len(playing.display.contactors)
+        if len(values) % contactors:
+            text = f"{len(values)} values are no whole number of frames for {contactors} contactors"
+            return failed("invalid_field", text, field="frames")
+        if self._has_left or not len(values):
+            return None
+        shear = np.float32(message.amplitude_um * 1e-6) * values.reshape(-1, contactors)
+        playing.add_frames(
+            commands.AddFrames(self.number, shear, message.frame_rate_hz, message.latest)
+        )
+        sounds = loop_time() + len(shear) / message.frame_rate_hz + HOLD + FADE
+        self._sounds_until = max(self._sounds_until, sounds)
+        return None
+
+    def stream(self, message: Streamed, arrival: float) -> Failure | None:
+        """Take a message that is part of a stream.
+
+        Parameters
+        ----------
+        message : Contact or TactileFrames
+            Message of the client.
+        arrival : float
+            Time of arrival on the monotonic clock [s].
+
+        Returns
+        -------
+        Failure or None
+            What is wrong with it.
+        """
+        if isinstance(message, TactileFrames):
+            return self.frames(message)
+        return self.contact(message, arrival)
+
     async def request(self, command: Command) -> Answer:
         """Carry out a request.
 
@@ -224,8 +285,8 @@ class Client:
         playing = self._host.playing.get(command.display)
         if playing is None:
             return self._unknown_display(command.display)
-        if isinstance(command, Contact):
-            return self.contact(command, loop_time()) or m.Done()
+        if isinstance(command, Streamed):
+            return self.stream(command, loop_time()) or m.Done()
         if self._has_left and not isinstance(command, m.DisarmDisplay):
             return failed("unavailable", "the connection has ended")
         needed, action = self._ACTIONS[type(command)]
@@ -319,8 +380,7 @@ class Client:
     def _waveform_refusal(self, playing: Playing) -> Failure | None:
         """Return why a display cannot play waveforms now, None if it can."""
         if playing.how.carriers:
-            text = "the link takes spectrum frames, which carry textures and no waveforms"
-            return failed("unsupported", text, field="display")
+            return failed("unsupported", NO_WAVEFORMS, field="display")
         if playing.latch.holds:
             return self._estop_failure(playing)
         if playing.state == "armed":
@@ -335,16 +395,9 @@ class Client:
         if max(command.contactors, default=0) >= contactors:
             text = f"contactor {max(command.contactors)} is not below {contactors}"
             return failed("invalid_field", text, field="contactors")
-        if isinstance(command.samples, bytes):
-            whole = len(command.samples) // 4
-            samples = np.frombuffer(command.samples[: 4 * whole], "<f4")
-            if whole * 4 != len(command.samples) or whole > m.MOST_SAMPLES:
-                text = f"needs float32, at most {m.MOST_SAMPLES} of them"
-                return failed("invalid_field", text, field="samples")
-            if not (np.abs(samples) <= 1).all():
-                return failed("invalid_field", "must be −1 … 1 throughout", field="samples")
-        else:
-            samples = np.array(command.samples, np.float32)
+        samples = _unit_values(command.samples, m.MOST_SAMPLES, "samples")
+        if isinstance(samples, Failure):
+            return samples
         playing.state_of(self.number)
         consumed, queued = await playing.request(
             commands.AppendSamples(
@@ -473,7 +526,7 @@ class Client:
             touching=r.touching,
             owner=playing.finger.client == self.number,
             latency_ms=_known(1e3 * r.latency),
-            counters=r.counters,
+            counters=playing.counters,
             estop=latch.holds,
             put_out_share=_known(r.put_out_share),
             lead_ms=1e3 * playing.how.ahead if playing.how.sample_rate else None,
@@ -501,6 +554,21 @@ def _point_rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float
     rows = np.array(points, np.float64).reshape(-1, width)
     rows[:, 0] *= 1e-3
     return rows
+
+
+def _unit_values(
+    values: tuple[float, ...] | bytes, most: int, field: str
+) -> NDArray[np.float32] | Failure:
+    """Return the values from −1 to 1 in a field of a message, or what is wrong with them."""
+    if not isinstance(values, bytes):
+        return np.array(values, np.float32)  # each was checked when the message was decoded
+    whole = len(values) // 4
+    numbers = np.frombuffer(values[: 4 * whole], "<f4")
+    if whole * 4 != len(values) or whole > most:
+        return failed("invalid_field", f"needs float32, at most {most} of them", field=field)
+    if not (np.abs(numbers) <= 1).all():
+        return failed("invalid_field", "must be −1 … 1 throughout", field=field)
+    return numbers
 
 
 def _known(value: float) -> float | None:
@@ -552,7 +620,7 @@ def snapshot(
         normal_force_n=r.normal_force,
         shear_um=None if playing.how.carriers else tuple((playing.memory.shear * 1e6).tolist()),
         drive_v=tuple(playing.memory.drive.tolist()),
-        counters=r.counters,
+        counters=playing.counters,
         put_out_share=_known(r.put_out_share),
         finger=None if r.finger is None else _told(r.finger),
         trace=trace,

@@ -21,14 +21,15 @@ from tactile.messages import (
     Answer,
     ClientHello,
     Command,
-    Contact,
     EStop,
     Failure,
     Ping,
     Pong,
     Role,
+    Streamed,
     Welcome,
     id_of,
+    kind_of,
 )
 from tactile.server.client import Client
 from tactile.server.config import ServerConfig
@@ -419,10 +420,10 @@ class ServerConnection:
         if not isinstance(command, EStop | Failure) and self._site.places.is_reserved(self):
             text = f"{self._full_text()}; this connection may only e-stop"
             return failed("too_many_clients", text, to=id_of(command))
-        if type(command) is Contact:
-            failure = self._client.contact(command, arrival)
+        if isinstance(command, Streamed):
+            failure = self._client.stream(command, arrival)
             self._failures = self._failures if failure else 0
-            self._traffic.message("contact", loop_time() - arrival)
+            self._traffic.message(kind_of(command), loop_time() - arrival)
             return failure
         if isinstance(command, Failure):
             if command.code == "too_large":

@@ -413,7 +413,7 @@ class Host:
         figures = {}
         for name, playing in self.playing.items():
             r = playing.report
-            figures[name] = {f"{k}_total": float(v) for k, v in r.counters.items()} | {
+            figures[name] = {f"{k}_total": float(v) for k, v in playing.counters.items()} | {
                 "armed": float(playing.state == "armed"),
                 "estopped": float(playing.latch.holds > 0),
                 "link_up": float(r.link == "up"),

@@ -11,6 +11,7 @@ written to the latch, which playback watches, and waits for nothing.
 import asyncio
 import logging
 import math
+from collections import defaultdict
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -62,6 +63,9 @@ NO_CURRENTS = (
     "finger.follow = true: the device measures no currents; it plays for the finger of the display"
 )
 """Line about a device that cannot be played as the configuration says."""
+MOST_FRAME_ORDERS = 64
+"""Maximum number of messages of tactile frames of one client that wait for playback, which carries
+out 8 orders in each block."""
 SERVER = 0
 """Number of the client in whose place the server itself has textures prepared anew."""
 
@@ -156,6 +160,8 @@ class Playing:
         self._post = post
         self.child: Child | None = None
         self._pending: dict[int, asyncio.Future[tuple[float, ...]]] = {}
+        self._waiting_frames: defaultdict[int, set[int]] = defaultdict(set)
+        """Numbers of each client's orders of tactile frames that playback has not carried out."""
         self._number = 0
         self._device_opened: asyncio.Future[DeviceOpened] | None = None
         self._since = 0.0
@@ -164,7 +170,7 @@ class Playing:
             selected=self._selected, largest=self.config.levels == "largest",
         )  # fmt: skip
         self.owners = Owners()
-        self._estops = 0
+        self._estops = self._dropped_frames = 0
         self._supervisor: asyncio.Task[None] | None = None
         self._ended = asyncio.Event()
 
@@ -236,6 +242,8 @@ class Playing:
             if self._device_opened is not None and not self._device_opened.done():
                 self._device_opened.set_result(what)
         elif isinstance(what, OrderAnswer):
+            for waiting in self._waiting_frames.values():
+                waiting.discard(what.number)
             future = self._pending.pop(what.number, None)
             if future is not None and not future.done():
                 if what.failure:
@@ -257,6 +265,7 @@ class Playing:
             if not future.done():
                 future.set_exception(BusError("playback was lost"))
         self._pending.clear()
+        self._waiting_frames.clear()
         if not self.lost and not self._ended.is_set():
             self.lost = True
             self._announce("lost", "playback died; it is started again")
@@ -351,12 +360,9 @@ class Playing:
         """
         if self.child is None or self.lost:
             raise BusError(self.failure or "playback was lost")
-        self._number += 1
-        number = self._number
         future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
+        number = self._send(self.child, order)
         self._pending[number] = future
-        self.session.add_order(number, order)
-        self.child.send((number, order))
         try:
             async with asyncio.timeout(ANSWER):
                 return await future
@@ -364,6 +370,37 @@ class Playing:
             raise BusError(f"playback did not answer in {ANSWER:g} s") from None
         finally:
             self._pending.pop(number, None)
+
+    def _send(self, child: Child, order: Order) -> int:
+        """Send an order to playback, and return its number.
+
+        Raises
+        ------
+        BusError
+            If too many orders wait.
+        """
+        self._number += 1
+        self.session.add_order(self._number, order)
+        child.send((self._number, order))
+        return self._number
+
+    def add_frames(self, frames: commands.AddFrames) -> None:
+        """Add tactile frames, without waiting; they are counted if they cannot be played now.
+
+        Parameters
+        ----------
+        frames : AddFrames
+            Frames of a client.
+        """
+        self.state_of(frames.client)
+        waiting = self._waiting_frames[frames.client]
+        if self.child is None or self.state != "armed" or len(waiting) >= MOST_FRAME_ORDERS:
+            self._dropped_frames += len(frames.frames)
+            return
+        try:
+            waiting.add(self._send(self.child, frames))
+        except BusError:  # playback does not keep up with its orders
+            self._dropped_frames += len(frames.frames)
 
     # High voltage
 
@@ -613,6 +650,7 @@ class Playing:
             Number of the client.
         """
         self._texture_store.leave(client)
+        self._waiting_frames.pop(client, None)
         lifted = self.finger.lifted(client, self._loop.time())
         if lifted is not None:
             self.add_sample(client, lifted)
@@ -627,6 +665,13 @@ class Playing:
     def report(self) -> PlaybackReport:
         """Latest report of playback."""
         return self.memory.report()
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Counters of playback, with the tactile frames that did not reach it."""
+        counters = self.report.counters
+        dropped = counters.get("dropped_frames", 0) + self._dropped_frames
+        return counters | {"dropped_frames": dropped}
 
     @property
     def state(self) -> Literal["disarmed", "armed", "estopped", "lost"]:

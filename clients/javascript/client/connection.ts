@@ -20,13 +20,14 @@ import type {
   Failure,
   Pong,
   StatsReply,
+  TactileFrames,
   TextureInfo,
   TexturePicture,
   Textures,
   Welcome,
 } from "./messages.js";
 import { DecodeError, decode, encode } from "./msgpack.js";
-import { ContactPacing } from "./pacing.js";
+import { StreamPacing } from "./pacing.js";
 import { faultOf, isKnown, isTyped } from "./validation.js";
 import type { Typed } from "./validation.js";
 
@@ -45,7 +46,7 @@ const FIRST_PAUSE_MS = 100;
 const LONGEST_PAUSE_MS = 5000;
 /** Maximum number of requests that wait for an answer, without those that make a display quieter. */
 const MOST_WAITING = 256;
-/** Amount of unsent data above which contacts are left out, as they would be old [bytes]. */
+/** Amount of unsent data above which contacts and frames are left out, as they would be old [bytes]. */
 const MOST_UNSENT = 16 * 1024;
 /** Close codes after which the same hello would be refused again. */
 const FINAL_CODES: ReadonlySet<number> = new Set([1002, 4400, 4401, 4406]);
@@ -101,7 +102,7 @@ const REPLIES: { readonly [K in keyof Replies]: Replies[K]["type"] } = {
   ping: "pong",
 };
 /** A message that the server answers. */
-export type RequestMessage = Exclude<Command, Contact>;
+export type RequestMessage = Exclude<Command, Contact | TactileFrames>;
 /** Reply to a request. */
 export type ReplyTo<C extends RequestMessage> = C["type"] extends keyof Replies
   ? Replies[C["type"]]
@@ -152,7 +153,7 @@ export class Connection {
   private retry: ReturnType<typeof setTimeout> | undefined;
   private readonly pinging: ReturnType<typeof setInterval>;
   private clock = new ClockOffset();
-  private pacing = new ContactPacing(0);
+  private pacing = new StreamPacing(0);
   private readonly estops = new PendingEstops();
   private readonly memories = new Map<string, DisplayMemory>();
   private readonly known = new Map<string, Display>();
@@ -278,14 +279,23 @@ export class Connection {
 
   /** Send a contact, or count it if that is not possible now. */
   sendContact(contact: Contact): void {
-    const lifts = contact.normal_force_n === 0;
-    const late = (this.socket?.bufferedAmount ?? 0) > MOST_UNSENT;
-    const possible = this.state === "connected" && this.socket !== undefined;
-    if (possible && (lifts || (!late && this.pacing.take(now_us())))) {
-      this.socket?.send(encode(contact));
-    } else {
+    if (!this.stream(contact, contact.normal_force_n === 0)) {
       this.memory(contact.display).droppedContacts += 1;
     }
+  }
+
+  /** Send tactile frames, or count the message if that is not possible now. */
+  sendFrames(frames: TactileFrames): void {
+    if (!this.stream(frames, false)) this.memory(frames.display).droppedFrames += 1;
+  }
+
+  /** Send a message of a stream if that is possible now, and return whether it was. */
+  private stream(message: Contact | TactileFrames, urgent: boolean): boolean {
+    if (this.state !== "connected" || this.socket === undefined) return false;
+    const late = this.socket.bufferedAmount > MOST_UNSENT;
+    if (!urgent && (late || !this.pacing.take(now_us()))) return false;
+    this.socket.send(encode(message));
+    return true;
   }
 
   /** Return what outlasts a connection of one display. */
@@ -532,7 +542,7 @@ export class Connection {
     this.welcome = welcome;
     this.clock = new ClockOffset();
     this.clock.add(sent_us, welcome.time_us, now_us());
-    this.pacing = new ContactPacing(welcome.messages_per_second ?? 0);
+    this.pacing = new StreamPacing(welcome.messages_per_second ?? 0);
     this.pause_ms = FIRST_PAUSE_MS;
     for (const { name, estop } of welcome.displays) this.memory(name).estop = estop ?? 0;
     for (const estop of this.estops.unsent()) this.sendUnasked(estop);

@@ -11,6 +11,7 @@ import type {
   Layer,
   PlayEffect,
   StatsReply,
+  TactileFrames,
   TelemetryMessage,
   TelemetryTrace,
 } from "./messages.js";
@@ -33,6 +34,9 @@ export type TelemetryListener = (telemetry: TelemetryMessage) => void;
 
 /** Everything about a waveform but its samples and its display. */
 export type Waveform = Omit<Append, "type" | "id" | "display" | "samples">;
+
+/** Everything about tactile frames but their values and their display. */
+export type FrameStream = Omit<TactileFrames, "type" | "display" | "frames">;
 
 /** Everything about an effect but its display. */
 export type Effect = Omit<PlayEffect, "type" | "id" | "display">;
@@ -68,6 +72,11 @@ export class Display {
   /** Number of contacts that were not sent: too many, or the server was not there. */
   get droppedContacts(): number {
     return this.connection.memory(this.name).droppedContacts;
+  }
+
+  /** Number of messages of tactile frames that were not sent. */
+  get droppedFrames(): number {
+    return this.connection.memory(this.name).droppedFrames;
   }
 
   /**
@@ -172,6 +181,21 @@ export class Display {
       display: this.name,
       samples: Array.isArray(samples) ? samples : littleEndian(samples),
       ...waveform,
+    });
+  }
+
+  /**
+   * Stream tactile frames: the shear of every contactor at one instant each. This never waits, and
+   * never throws because of the network: frames that cannot be sent now are counted.
+   *
+   * @param values Values −1 to 1, frame by frame, each with one value for every contactor.
+   */
+  frames(values: Float32Array | number[], stream: FrameStream): void {
+    this.connection.sendFrames({
+      type: "frames",
+      display: this.name,
+      frames: Array.isArray(values) ? values : littleEndian(values),
+      ...stream,
     });
   }
 

@@ -17,6 +17,8 @@ export class DisplayMemory {
   estop = 0;
   /** Number of contacts that were not sent. */
   droppedContacts = 0;
+  /** Number of messages of tactile frames that were not sent. */
+  droppedFrames = 0;
   /** Listeners for telemetry, with what each wants. */
   readonly listeners = new Map<TelemetryListener, WantedTelemetry>();
   private readonly wanted = new Map<"select" | "gain" | "stop", Command>();

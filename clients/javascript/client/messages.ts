@@ -223,7 +223,9 @@ export interface SetGain {
  * Queue a waveform of tangential shear; requires the role "play" and an armed display.
  *
  * It follows XR_FB_haptic_pcm: samples that do not fit in the client's buffer are not taken.
- * `AppendedReply` tells how many were taken; the client sends the rest again.
+ * `AppendedReply` tells how many were taken; the client sends the rest again. Each contactor has a
+ * queue of its own, and a waveform of several contactors begins on all of them at once, when the
+ * last one is free.
  */
 export interface Append {
   type: "append";
@@ -241,8 +243,8 @@ export interface Append {
    */
   samples: number[] | Uint8Array;
   /**
-   * Whether to play the samples after those that are queued. If false, the queued samples are
-   * dropped first, even if none of the new samples is taken.
+   * Whether to play the samples after those that are queued. If false, what is queued for the
+   * same contactors is dropped first, even if none of the new samples is taken.
    * @default true
    */
   append?: boolean;
@@ -251,6 +253,41 @@ export interface Append {
    * @default []
    */
   contactors?: number[];
+}
+
+/**
+ * Stream tactile frames; requires the role "play".
+ *
+ * A tactile frame is the shear of every contactor at one instant. It is not a request: it has no
+ * `id`, and only frames that cannot be used are answered, by a `Failure`. Frames that come while
+ * the display is not armed, after `StopPlaying`, or faster than they are played, are not played,
+ * and are counted as `dropped_frames`. If a frame comes too late, the one before it is held,
+ * which is counted as `frame_gaps`; if no frame comes any more, the stream fades out within a
+ * tenth of a second. A client has one stream on a display: frames of another rate, or with
+ * another `latest`, replace it.
+ */
+export interface TactileFrames {
+  type: "frames";
+  /** Name of the display. */
+  display: string;
+  /** Rate of the frames [Hz]. */
+  frame_rate_hz: number;
+  /** Shear that a value of 1 stands for [µm]. */
+  amplitude_um: number;
+  /**
+   * Values from −1 to 1, frame by frame, each with one value for every contactor, at most 16 000
+   * in all: a list of numbers, or little-endian float32 as a binary field of MessagePack (a
+   * base64 string in JSON).
+   */
+  frames: number[] | Uint8Array;
+  /**
+   * Whether only the newest frame counts: the signal moves to it in a straight line, within the
+   * period of the frames, as soon as it comes. If false, every frame is played, in a
+   * band-limited signal (up to 0.32 of the rate), which follows the clock of the source. It is
+   * four frames and 3 ms behind the frames as they come, more if the source is not even.
+   * @default false
+   */
+  latest?: boolean;
 }
 
 /** Amplitude at a time, an array [time_ms, value]; linear between points. */
@@ -448,7 +485,10 @@ export interface DisplayDescription {
   sample_rate_hz: number;
   /** Limit of the drive [V]. */
   voltage_limit_v: number;
-  /** Whether the link carries samples. If false, `Append` and `PlayEffect` are unsupported. */
+  /**
+   * Whether the link carries samples. If false, `Append`, `PlayEffect` and `TactileFrames` are
+   * unsupported.
+   */
   waveforms: boolean;
   /** Approximate latency from a contact message to the skin [ms]. */
   latency_ms: number;
@@ -584,7 +624,7 @@ export interface AppendedReply {
   id?: number | null;
   /** Number of samples that were taken, counted from the first. */
   samples_consumed: number;
-  /** Playing time of what is queued for this client [ms]. */
+  /** Playing time of what is queued for these contactors of this client [ms]. */
   buffered_ms: number;
 }
 
@@ -797,6 +837,7 @@ export type Command =
   | StopPlaying
   | SetGain
   | Append
+  | TactileFrames
   | PlayEffect
   | ListEffects
   | PlayNamedEffect

@@ -5,7 +5,7 @@ import { ClientError, DisconnectedError, RequestError } from "./errors.js";
 import { DisplayMemory, PendingEstops } from "./memory.js";
 import { API_VERSION, MSGPACK_PROTOCOL, PATH } from "./messages.js";
 import { DecodeError, decode, encode } from "./msgpack.js";
-import { ContactPacing } from "./pacing.js";
+import { StreamPacing } from "./pacing.js";
 import { faultOf, isKnown, isTyped } from "./validation.js";
 /** Interval between pings, each of which also measures the clocks [ms]. */
 const PING_INTERVAL_MS = 1000;
@@ -22,7 +22,7 @@ const FIRST_PAUSE_MS = 100;
 const LONGEST_PAUSE_MS = 5000;
 /** Maximum number of requests that wait for an answer, without those that make a display quieter. */
 const MOST_WAITING = 256;
-/** Amount of unsent data above which contacts are left out, as they would be old [bytes]. */
+/** Amount of unsent data above which contacts and frames are left out, as they would be old [bytes]. */
 const MOST_UNSENT = 16 * 1024;
 /** Close codes after which the same hello would be refused again. */
 const FINAL_CODES = new Set([1002, 4400, 4401, 4406]);
@@ -60,7 +60,7 @@ export class Connection {
         this.lastId = 0;
         this.pause_ms = FIRST_PAUSE_MS;
         this.clock = new ClockOffset();
-        this.pacing = new ContactPacing(0);
+        this.pacing = new StreamPacing(0);
         this.estops = new PendingEstops();
         this.memories = new Map();
         this.known = new Map();
@@ -178,15 +178,24 @@ export class Connection {
     }
     /** Send a contact, or count it if that is not possible now. */
     sendContact(contact) {
-        const lifts = contact.normal_force_n === 0;
-        const late = (this.socket?.bufferedAmount ?? 0) > MOST_UNSENT;
-        const possible = this.state === "connected" && this.socket !== undefined;
-        if (possible && (lifts || (!late && this.pacing.take(now_us())))) {
-            this.socket?.send(encode(contact));
-        }
-        else {
+        if (!this.stream(contact, contact.normal_force_n === 0)) {
             this.memory(contact.display).droppedContacts += 1;
         }
+    }
+    /** Send tactile frames, or count the message if that is not possible now. */
+    sendFrames(frames) {
+        if (!this.stream(frames, false))
+            this.memory(frames.display).droppedFrames += 1;
+    }
+    /** Send a message of a stream if that is possible now, and return whether it was. */
+    stream(message, urgent) {
+        if (this.state !== "connected" || this.socket === undefined)
+            return false;
+        const late = this.socket.bufferedAmount > MOST_UNSENT;
+        if (!urgent && (late || !this.pacing.take(now_us())))
+            return false;
+        this.socket.send(encode(message));
+        return true;
     }
     /** Return what outlasts a connection of one display. */
     memory(display) {
@@ -441,7 +450,7 @@ export class Connection {
         this.welcome = welcome;
         this.clock = new ClockOffset();
         this.clock.add(sent_us, welcome.time_us, now_us());
-        this.pacing = new ContactPacing(welcome.messages_per_second ?? 0);
+        this.pacing = new StreamPacing(welcome.messages_per_second ?? 0);
         this.pause_ms = FIRST_PAUSE_MS;
         for (const { name, estop } of welcome.displays)
             this.memory(name).estop = estop ?? 0;

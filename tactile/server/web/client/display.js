@@ -32,6 +32,10 @@ export class Display {
     get droppedContacts() {
         return this.connection.memory(this.name).droppedContacts;
     }
+    /** Number of messages of tactile frames that were not sent. */
+    get droppedFrames() {
+        return this.connection.memory(this.name).droppedFrames;
+    }
     /**
      * Say where the finger is. This never waits, and never throws because of the network: a contact
      * that cannot be sent now is counted.
@@ -125,6 +129,20 @@ export class Display {
             display: this.name,
             samples: Array.isArray(samples) ? samples : littleEndian(samples),
             ...waveform,
+        });
+    }
+    /**
+     * Stream tactile frames: the shear of every contactor at one instant each. This never waits, and
+     * never throws because of the network: frames that cannot be sent now are counted.
+     *
+     * @param values Values −1 to 1, frame by frame, each with one value for every contactor.
+     */
+    frames(values, stream) {
+        this.connection.sendFrames({
+            type: "frames",
+            display: this.name,
+            frames: Array.isArray(values) ? values : littleEndian(values),
+            ...stream,
         });
     }
     /** Play an effect given by curves of amplitude and frequency, as XR_EXT_haptic_parametric does. */

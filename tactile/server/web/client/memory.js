@@ -6,6 +6,8 @@ export class DisplayMemory {
         this.estop = 0;
         /** Number of contacts that were not sent. */
         this.droppedContacts = 0;
+        /** Number of messages of tactile frames that were not sent. */
+        this.droppedFrames = 0;
         /** Listeners for telemetry, with what each wants. */
         this.listeners = new Map();
         this.wanted = new Map();

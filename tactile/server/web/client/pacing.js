@@ -1,17 +1,17 @@
 /** Limit on how many messages a client sends, below the rate at which the server drops them. */
-/** Share of the server's messages per second that contacts may use; the rest is for requests. */
-const SHARE_OF_CONTACTS = 0.9;
-/** Time whose contacts may go out at once [s]: browsers hand pointer events over in batches. */
+/** Share of the server's messages per second that streams may use; the rest is for requests. */
+const SHARE_OF_STREAMS = 0.9;
+/** Time whose messages may go out at once [s]: browsers hand pointer events over in batches. */
 const BURST_S = 0.1;
-/** Token bucket for contacts. */
-export class ContactPacing {
+/** Token bucket for contacts and tactile frames. */
+export class StreamPacing {
     /** @param messagesPerSecond What the server accepts of this client; 0 if it has no limit. */
     constructor(messagesPerSecond) {
         this.time_us = 0;
-        this.rate_hz = messagesPerSecond > 0 ? SHARE_OF_CONTACTS * messagesPerSecond : Infinity;
+        this.rate_hz = messagesPerSecond > 0 ? SHARE_OF_STREAMS * messagesPerSecond : Infinity;
         this.tokens = this.rate_hz * BURST_S;
     }
-    /** Return whether one more contact may be sent at a time [µs]. */
+    /** Return whether one more message may be sent at a time [µs]. */
     take(time_us) {
         if (this.rate_hz === Infinity)
             return true;

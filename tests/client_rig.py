@@ -85,7 +85,7 @@ class Script:
                     time_us=server_time_us(),
                     messages_per_second=self.messages_per_second,
                 )
-            case m.Contact():
+            case m.Contact() | m.TactileFrames():
                 return None
             case m.ListTextures():
                 oak = m.TextureInfo(

@@ -85,7 +85,7 @@ def test_a_refused_contact_is_an_event_and_not_at_its_rate(
     for number in range(1, 5):
         clock.sleep(number // 4)  # the last one comes a second after the others
         remote.touch((0.0, 0.0))
-        until(lambda: remote.connection.counters["refused_contacts"] == number)  # noqa: B023
+        until(lambda: remote.connection.counters["refused_messages"] == number)  # noqa: B023
     until(lambda: len(events) >= 2)
     assert events == 2 * [client.Event("refused", "", "not_armed: arm it first")]
 
@@ -186,3 +186,35 @@ def test_stop_ends_a_waveform_without_end(twin: Twin, server: ScriptedServer) ->
         display.stop()
         thread.join(PATIENCE)
         assert played[0] == sum(count(said) for said in server.of(m.Append))
+
+
+def test_waveforms_of_other_contactors_go_on_and_those_of_the_same_end(
+    twin: Twin, server: ScriptedServer
+) -> None:
+    """Two without end play at the same time until a third one takes the contactor of the second."""
+    played: dict[tuple[int, ...], int] = {}
+
+    def sent(*contactors: int) -> list[m.Append]:
+        return [said for said in server.of(m.Append) if said.contactors == contactors]
+
+    with twin.connect(server.url, timeout=PATIENCE) as display:
+
+        def play(*contactors: int) -> None:
+            samples = itertools.cycle([0.5, -0.5])
+            played[contactors] = display.play(
+                samples, sample_rate=8000, amplitude=1e-6, contactors=contactors
+            )
+
+        threads = {}
+        for contactors in ((0,), (1,), (1, 2)):
+            threads[contactors] = threading.Thread(target=play, args=contactors)
+            threads[contactors].start()
+            until(lambda: len(sent(*contactors)) > 2)  # noqa: B023
+        threads[1,].join(PATIENCE)
+        assert set(played) == {(1,)}
+        before = len(sent(0))
+        until(lambda: len(sent(0)) > before + 2)
+        display.stop()
+        for thread in threads.values():
+            thread.join(PATIENCE)
+    assert played == {one: sum(map(count, sent(*one))) for one in threads}

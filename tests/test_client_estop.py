@@ -186,9 +186,9 @@ def test_sending_without_end_leaves_others_their_turn() -> None:
         sent: list[Any] = []
 
         class Endless:
-            contacts = 1
+            streams = 1
 
-            def take(self, contacts: bool) -> list[Any]:
+            def take(self, streams: bool) -> list[Any]:
                 assert len(sent) < 100, "nobody else had a turn"
                 return [contact]
 

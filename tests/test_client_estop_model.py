@@ -33,7 +33,7 @@ class Schedule(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.outbox = Outbox(lambda display: None)
+        self.outbox = Outbox(lambda message: None)
         self.session = ClientSession(
             self, m.ClientHello(client="test"), clock=ModelClock(), rearm=True
         )

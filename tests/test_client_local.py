@@ -9,7 +9,7 @@ import pytest
 from client_rig import MESSAGES, Script, Twin, opened_session, plain
 
 from tactile import messages as m
-from tactile.client.outbox import Outbox
+from tactile.client.outbox import MOST_FRAMES, Outbox
 from tactile.client.session import ClientSession
 from tactile.errors import DisconnectedError
 
@@ -80,7 +80,7 @@ def test_an_arm_that_nobody_waits_for_is_not_sent_late_but_what_quiets_is() -> N
 
 
 def test_an_outbox_sends_estop_first_and_of_contacts_the_newest() -> None:
-    dropped: list[str] = []
+    dropped: list[m.Streamed] = []
     outbox = Outbox(dropped.append)
     contacts = [
         m.Contact(display=name, position_mm=(x, 0.0), normal_force_n=0.5)
@@ -92,9 +92,45 @@ def test_an_outbox_sends_estop_first_and_of_contacts_the_newest() -> None:
     assert outbox.take() == [estop, contacts[2], contacts[1], gain]
     assert outbox.take() == [play]
     assert outbox.take() == []
-    assert dropped == ["left"]
-    assert outbox.put(contacts[0]), "the sender sleeps again"
-    assert outbox.take(contacts=False) == []
+    assert dropped == [contacts[0]]
+    assert outbox.put(contacts[1]), "the sender sleeps again"
+    assert outbox.take(streams=False) == []
     outbox.clear()
     assert outbox.take() == []
-    assert dropped == ["left", "left"]
+    assert dropped == [contacts[0], contacts[1]]
+
+
+def frames(values: bytes, *, display: str = "left", latest: bool = False) -> m.TactileFrames:
+    return m.TactileFrames(
+        display=display, frame_rate_hz=1000.0, amplitude_um=5.0, frames=values, latest=latest
+    )
+
+
+def test_frames_that_wait_are_joined_in_order_and_the_newest_wins_if_only_it_counts() -> None:
+    dropped: list[m.Streamed] = []
+    outbox = Outbox(dropped.append)
+    for k in range(3):
+        outbox.put(frames(bytes([k]) * 8))
+    for k in range(3):
+        outbox.put(frames(bytes([k]) * 8, latest=True))
+    outbox.put(frames(b"right...", display="right"))
+    assert outbox.streams == 3
+    assert outbox.take() == [
+        frames(bytes(8) + bytes([1]) * 8 + bytes([2]) * 8),
+        frames(bytes([2]) * 8, latest=True),
+        frames(b"right...", display="right"),
+    ]
+    assert dropped == []
+
+
+def test_frames_that_nobody_takes_stay_within_bounds_and_the_oldest_are_dropped() -> None:
+    dropped: list[m.Streamed] = []
+    outbox = Outbox(dropped.append)
+    message = frames(bytes(4 * m.MOST_FRAME_VALUES))
+    for _ in range(MOST_FRAMES + 2):
+        outbox.put(message)
+    assert dropped == [message, message]
+    outbox.put(frames(b"last"))
+    assert len(dropped) == 3
+    *_, last = outbox.take()
+    assert last == frames(b"last")

@@ -232,7 +232,8 @@ class BaseConnection(ABC):
         """Counts of this side by name.
 
         ``dropped_contacts`` (a newer one came first, or the server was not there),
-        ``refused_contacts``, ``dropped_events`` and ``dropped_telemetry`` (not read in time),
+        ``dropped_frames`` (not sent in time, or the server was not there), ``refused_messages``
+        (contacts and frames), ``dropped_events`` and ``dropped_telemetry`` (not read in time),
         ``ignored_messages`` (of a later version of the API), ``reconnections``.
         """
         return dict(self._session.counters)

@@ -5,13 +5,16 @@ the message and reads the reply. It works on either display, as its ``self`` say
 `RemoteDisplay` has it as an ordinary method; see `tactile.client.waiting`.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tactile import messages
 from tactile.client import wire
 from tactile.client.base import BaseConnection
 from tactile.client.events import Callback, as_callback
+from tactile.client.frames import FrameWriter
 from tactile.client.telemetry import AsyncTelemetryStream, TelemetryStream
 from tactile.client.waiting import AsyncClosing, Closing, blocking
 from tactile.client.waveform import Waveform, pause_after
@@ -23,6 +26,14 @@ if TYPE_CHECKING:
 
 NORMAL_FORCE = 0.5
 """Normal force where a program knows only that there is contact [N]. Assumed: light exploration."""
+
+
+@dataclass(eq=False)
+class _Play:
+    """A waveform that `play` sends, for some contactors or, if there are none, for all."""
+
+    contactors: frozenset[int]
+    is_over: bool = False
 
 
 class BaseDisplay:
@@ -47,7 +58,7 @@ class BaseDisplay:
         self.name = name
         self._connection, self._owns = connection, owns
         self._position = (0.0, 0.0)
-        self._generation = 0  # a `play` of an earlier one sends no more
+        self._plays: set[_Play] = set()
         connection._displays.setdefault(name, self)
 
     @property
@@ -105,6 +116,79 @@ class BaseDisplay:
         self._connection.on_event(called)
         return callback
 
+    @contextmanager
+    def _play(self, contactors: tuple[int, ...]) -> Iterator[_Play]:
+        """Begin a `play`, and end those on the same contactors; none are all."""
+        for other in list(self._plays):
+            if not contactors or not other.contactors or other.contactors & set(contactors):
+                other.is_over = True
+        play = _Play(frozenset(contactors))
+        self._plays.add(play)
+        try:
+            yield play
+        finally:
+            self._plays.discard(play)
+
+    def _end_plays(self) -> None:
+        """End each `play`, which sends no more then."""
+        for play in list(self._plays):
+            play.is_over = True
+
+    def frames(
+        self,
+        rate: float,
+        *,
+        amplitude: float,
+        latest: bool = False,
+        grid: Sequence[int] | None = None,
+        extent: Iterable[float] | None = None,
+    ) -> FrameWriter:
+        """Return a writer of tactile frames, the shear of every contactor at one instant each.
+
+        They are added to the textures. If no frame is written for a tenth of a second, they have
+        faded out. A program has one stream on a display: another one replaces it.
+
+        Parameters
+        ----------
+        rate : float
+            Rate at which frames are written, 100 Hz … 48 kHz [Hz].
+        amplitude : float
+            Shear of a value of 1 [m].
+        latest : bool
+            Whether the display moves to the newest frame as soon as it comes, in a straight line
+            within 1 / rate. By default every frame is played, in a band-limited signal, which is
+            four frames and 3 ms later.
+        grid : (2,) sequence of int, optional
+            Number of rows and columns of a grid of taxels. Each frame is an image of it then, from
+            which a contactor gets the mean over the area that is nearest to it.
+        extent : (4,) iterable of float, optional
+            Left, bottom, right and top side of the grid [m]; by default around all contactors,
+            wider by half of their smallest distance.
+
+        Returns
+        -------
+        FrameWriter
+            Writer, of which `FrameWriter.write` sends a frame and never waits.
+
+        Raises
+        ------
+        InputError
+            If an argument is out of range.
+
+        Examples
+        --------
+        Stream the images of a sensor of 16 × 48 taxels, in step with it::
+
+            frames = display.frames(1000.0, amplitude=20e-6, grid=(16, 48))
+            for image in sensor:
+                frames.write(image)
+        """
+        session, contactors = self._connection._session, self.info.contactors
+        return FrameWriter(
+            session.send_streamed, self.name, contactors,
+            rate=rate, amplitude=amplitude, latest=latest, grid=grid, extent=extent,
+        )  # fmt: skip
+
     async def _do(self, request: Request, timeout: float | None) -> None:
         """Send a request that is answered by `Done`."""
         await self._connection._request(request, Done, timeout)
@@ -122,7 +206,7 @@ class BaseDisplay:
         contact = wire.to_contact(self.name, position, normal_force, velocity, time_us)
         x, y = contact.position_mm
         self._position = (x * 1e-3, y * 1e-3)
-        session.send_contact(contact)
+        session.send_streamed(contact)
 
 
 class AsyncDisplay(AsyncClosing, BaseDisplay):
@@ -218,7 +302,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         timeout : float, optional
             Longest wait for the answer [s].
         """
-        self._generation += 1
+        self._end_plays()
         await self._do(messages.StopPlaying(display=self.name), timeout)
 
     async def resume(self: BaseDisplay, *, timeout: float | None = None) -> None:
@@ -249,7 +333,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         timeout : float, optional
             Longest wait for the answer [s].
         """
-        self._generation += 1
+        self._end_plays()
         await self._do(messages.DisarmDisplay(display=self.name), timeout)
 
     async def estop(self: BaseDisplay, *, timeout: float | None = None) -> int:
@@ -269,7 +353,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         int
             Number of the e-stop, which `clear` takes.
         """
-        self._generation += 1
+        self._end_plays()
         done = await self._connection._request(messages.EStop(display=self.name), Done, timeout)
         return done.estops.get(self.name, 0)
 
@@ -299,7 +383,9 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         contactors: Iterable[int] = (),
         timeout: float | None = None,
     ) -> wire.Appended:
-        """Send one message of a waveform, to play after what waits, as XR_FB_haptic_pcm does.
+        """Send one message of a waveform, as XR_FB_haptic_pcm does.
+
+        It plays after what waits for the same contactors, at the same time as what others play.
 
         Parameters
         ----------
@@ -338,7 +424,10 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         contactors: Iterable[int] = (),
         timeout: float | None = None,
     ) -> int:
-        """Play a waveform in place of what waits; return when the server has taken all of it.
+        """Play a waveform in place of what waits for its contactors.
+
+        It returns when the server has taken all of it. Waveforms that other threads or tasks play
+        on other contactors go on.
 
         Parameters
         ----------
@@ -357,7 +446,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         -------
         int
             Number of samples that were taken: fewer if another thread or task stopped it or played
-            something else.
+            something else on one of its contactors.
 
         Raises
         ------
@@ -367,20 +456,21 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         waveform = Waveform(
             self.name, samples, sample_rate=sample_rate, amplitude=amplitude, contactors=contactors
         )
-        self._generation = generation = self._generation + 1
         connection = self._connection
         limit, clock = connection._patience(timeout), connection._session.clock
         count, progress = 0, clock.now()
-        while generation == self._generation and (message := waveform.message()) is not None:
-            reply = await connection._request(message, messages.AppendedReply, timeout)
-            appended = wire.from_message(wire.Appended, reply)
-            waveform.consume(appended.samples_consumed)
-            if appended.samples_consumed:
-                count += appended.samples_consumed
-                progress = clock.now()
-            elif clock.now() - progress > limit:
-                raise ClientTimeoutError(f"play on {self.name}: no sample was taken in {limit:g} s")
-            await connection._sleep(pause_after(message, appended))
+        with self._play(waveform.contactors) as play:
+            while not play.is_over and (message := waveform.message()) is not None:
+                reply = await connection._request(message, messages.AppendedReply, timeout)
+                appended = wire.from_message(wire.Appended, reply)
+                waveform.consume(appended.samples_consumed)
+                if appended.samples_consumed:
+                    count += appended.samples_consumed
+                    progress = clock.now()
+                elif clock.now() - progress > limit:
+                    text = f"play on {self.name}: no sample was taken in {limit:g} s"
+                    raise ClientTimeoutError(text)
+                await connection._sleep(pause_after(message, appended))
         return count
 
     async def effect(
@@ -532,7 +622,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         if self._owns:
             await self._connection._close()
         else:
-            self._generation += 1
+            self._end_plays()
             await self._connection._stop([self.name])
 
 

@@ -1,28 +1,38 @@
-"""Messages that are to be sent: each request, and of each finger only the newest contact."""
+"""Messages that are to be sent: requests, and of streams only what is not too old.
+
+Of each finger only the newest contact is sent, and tactile frames that wait are joined to one
+message.
+"""
 
 import threading
 from collections import deque
 from collections.abc import Callable
 
-from tactile.messages import Command, Contact, EStop
+from msgspec import structs
+
+from tactile.messages import MOST_FRAME_VALUES, Command, Contact, EStop, Streamed, TactileFrames
+
+MOST_FRAMES = 8
+"""Maximum number of messages of tactile frames that wait; older ones are dropped."""
 
 
 class Outbox:
-    """Messages that wait to be sent; its methods never wait, and contacts do not accumulate.
+    """Messages that wait to be sent; its methods never wait, and streams do not accumulate.
 
-    E-stops come first, then contacts, then one request at a time in the order in which they came.
+    E-stops come first, then streams, then one request at a time in the order in which they came.
 
     Parameters
     ----------
     dropped : Callable
-        Function that takes the display's name for each contact that a newer one replaced.
+        Function that takes each contact that a newer one replaced, and frames that are too old.
     """
 
-    def __init__(self, dropped: Callable[[str], None]) -> None:
+    def __init__(self, dropped: Callable[[Streamed], None]) -> None:
         self._dropped = dropped
         self._lock = threading.Lock()
         self._urgent: deque[Command] = deque()
         self._contacts: dict[str, Contact] = {}
+        self._frames: deque[TactileFrames] = deque()
         self._requests: deque[Command] = deque()
         self._awake = False
 
@@ -39,27 +49,38 @@ class Outbox:
         bool
             Whether the sender has to be woken.
         """
-        replaced = False
+        replaced: Streamed | None = None
         with self._lock:
             if isinstance(command, Contact):
-                replaced = command.display in self._contacts
+                replaced = self._contacts.get(command.display)
                 self._contacts[command.display] = command
+            elif isinstance(command, TactileFrames):
+                replaced = self._put_frames(command)
             elif isinstance(command, EStop):
                 self._urgent.append(command)
             else:
                 self._requests.append(command)
             wake, self._awake = not self._awake, True
-        if replaced:
-            self._dropped(command.display)  # type: ignore[union-attr, arg-type]
+        if replaced is not None:
+            self._dropped(replaced)
         return wake
 
-    def take(self, contacts: bool = True) -> list[Command]:
+    def _put_frames(self, frames: TactileFrames) -> TactileFrames | None:
+        """Add frames, to those of their stream if they wait; return what was dropped for them."""
+        joined = _joined(self._frames[-1], frames) if self._frames else None
+        if joined is not None:
+            self._frames[-1] = joined
+            return None
+        self._frames.append(frames)
+        return self._frames.popleft() if len(self._frames) > MOST_FRAMES else None
+
+    def take(self, streams: bool = True) -> list[Command]:
         """Take what is to be sent next.
 
         Parameters
         ----------
-        contacts : bool
-            Whether contacts may be sent now.
+        streams : bool
+            Whether messages of streams may be sent now.
 
         Returns
         -------
@@ -69,25 +90,39 @@ class Outbox:
         with self._lock:
             batch = list(self._urgent)
             self._urgent.clear()
-            if contacts:
-                batch.extend(self._contacts.values())
+            if streams:
+                batch += [*self._contacts.values(), *self._frames]
                 self._contacts.clear()
+                self._frames.clear()
             if self._requests:
                 batch.append(self._requests.popleft())
             self._awake = bool(batch)
             return batch
 
     @property
-    def contacts(self) -> int:
-        """Number of contacts that wait."""
-        return len(self._contacts)
+    def streams(self) -> int:
+        """Number of messages of streams that wait."""
+        return len(self._contacts) + len(self._frames)
 
     def clear(self) -> None:
-        """Forget all messages; contacts count as dropped, and a session sends e-stops again."""
+        """Forget all messages; streams count as dropped, and a session sends e-stops again."""
         with self._lock:
-            names = list(self._contacts)
+            streams: list[Streamed] = [*self._contacts.values(), *self._frames]
             self._urgent.clear()
             self._contacts.clear()
+            self._frames.clear()
             self._requests.clear()
-        for name in names:
-            self._dropped(name)
+        for message in streams:
+            self._dropped(message)
+
+
+def _joined(first: TactileFrames, then: TactileFrames) -> TactileFrames | None:
+    """Return the frames of two messages as one; None if they do not fit in one."""
+    assert isinstance(first.frames, bytes)
+    assert isinstance(then.frames, bytes)
+    if structs.replace(first, frames=b"") != structs.replace(then, frames=b""):
+        return None
+    if then.latest:
+        return then
+    values = first.frames + then.frames
+    return structs.replace(then, frames=values) if len(values) <= 4 * MOST_FRAME_VALUES else None

@@ -34,7 +34,6 @@ from tactile.messages import (
     ClearEstop,
     ClientHello,
     Command,
-    Contact,
     DisarmDisplay,
     DisplayRequest,
     EStop,
@@ -46,7 +45,9 @@ from tactile.messages import (
     Request,
     Resume,
     StopPlaying,
+    Streamed,
     Subscribe,
+    TactileFrames,
     TelemetryMessage,
     Welcome,
     id_of,
@@ -186,8 +187,8 @@ class ClientSession:
         self.offset = ClockOffset()
         self.counters: Counter[str] = Counter(
             dict.fromkeys(
-                ("dropped_contacts", "dropped_events", "dropped_telemetry", "ignored_messages",
-                 "reconnections", "refused_contacts"), 0,
+                ("dropped_contacts", "dropped_events", "dropped_frames", "dropped_telemetry",
+                 "ignored_messages", "reconnections", "refused_messages"), 0,
             )
         )  # fmt: skip
         self.dropped_contacts: Counter[str] = Counter()
@@ -264,18 +265,18 @@ class ClientSession:
             self._transport.send(command)  # type: ignore[arg-type]
         return future
 
-    def send_contact(self, contact: Contact) -> None:
-        """Send a contact, or count it if there is no connection.
+    def send_streamed(self, message: Streamed) -> None:
+        """Send a message of a stream, or count it if there is no connection.
 
         Parameters
         ----------
-        contact : Contact
-            Newest contact.
+        message : Contact or TactileFrames
+            Newest contact, or frames.
         """
         if self.connected:
-            self._transport.send(contact)
+            self._transport.send(message)
         else:
-            self.dropped(contact.display)
+            self.dropped(message)
 
     def is_pending(self, command: Command) -> bool:
         """Return whether a message that was handed over is still to be sent.
@@ -398,17 +399,27 @@ class ClientSession:
         if was and not self.closed:
             self.notify(wire.Event("disconnected", detail=reason))
 
-    def dropped(self, display: str) -> None:
-        """Count a contact that was not sent.
+    def dropped(self, message: Streamed) -> None:
+        """Count a message of a stream that was not sent.
 
         Parameters
         ----------
-        display : str
-            Name of its display.
+        message : Contact or TactileFrames
+            Message.
         """
         with self._lock:
-            self.counters["dropped_contacts"] += 1
-            self.dropped_contacts[display] += 1
+            if isinstance(message, TactileFrames):
+                self.counters["dropped_frames"] += self._frame_count(message)
+            else:
+                self.counters["dropped_contacts"] += 1
+                self.dropped_contacts[message.display] += 1
+
+    def _frame_count(self, message: TactileFrames) -> int:
+        """Return the number of frames in a message."""
+        displays = self.welcome.displays if self.welcome is not None else ()
+        values = len(message.frames) // (4 if isinstance(message.frames, bytes) else 1)
+        contactors = [len(d.contactors_mm) for d in displays if d.name == message.display]
+        return values // contactors[0] if contactors else 0
 
     def ignored(self, message: str) -> None:
         """Count a message of the server that cannot be read.
@@ -501,10 +512,10 @@ class ClientSession:
                 self._desired_state(command.display).confirm(command)
 
     def _refuse(self, failure: Failure) -> None:
-        """Count a contact that was refused; notify of it once a second, not at its rate."""
+        """Count a message of a stream that was refused; notify of it once a second."""
         now = self.clock.now()
         with self._lock:
-            self.counters["refused_contacts"] += 1
+            self.counters["refused_messages"] += 1
             code, notified = self._last_refusal
             if code == failure.code and now - notified < 1.0:
                 return

@@ -35,7 +35,7 @@ class Transport(Protocol):
         Parameters
         ----------
         command : Command
-            Message to send; of contacts, only the newest must arrive.
+            Message to send; of contacts, only the newest must arrive, and frames may be joined.
         """
         ...
 

@@ -93,6 +93,11 @@ class Waveform:
         )
         self._rest = b""
 
+    @property
+    def contactors(self) -> tuple[int, ...]:
+        """Contactors that play it; all if there is none."""
+        return self._message.contactors
+
     def message(self) -> Append | None:
         """Return the next message.
 

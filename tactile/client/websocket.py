@@ -32,8 +32,8 @@ from tactile.messages import (
     Answer,
     Append,
     Command,
-    Contact,
     Failure,
+    Streamed,
     Welcome,
 )
 
@@ -49,8 +49,8 @@ SEND_BUFFER = 32 * 1024
 """Size of the system's send buffer [byte]: less slows appends down, more lets contacts get old."""
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
 """Limits of the pause before a reconnection [s]; it doubles each time, less a random half."""
-SHARE_OF_CONTACTS = 0.9
-"""Share of the server's messages per second that contacts may use; the rest is for requests."""
+SHARE_OF_STREAMS = 0.9
+"""Share of the server's messages per second that streams may use; the rest is for requests."""
 
 
 class _SilentError(ClientError):
@@ -137,7 +137,7 @@ class WebSocketTransport(ABC):
         self._closing = False
         self._attempts = 0
         self._rate = 0
-        self._next_contact = 0.0
+        self._next_streamed = 0.0
         self._closed: Future[None] = Future()
         self._closed.set_running_or_notify_cancel()  # a waiter that gives up does not cancel it
 
@@ -163,7 +163,7 @@ class WebSocketTransport(ABC):
         Parameters
         ----------
         command : Command
-            Message to send; of contacts, only the newest is sent.
+            Message to send; of contacts, only the newest is sent, and frames may be joined.
         """
         if self._outbox.put(command):
             self._set(self._more)
@@ -290,20 +290,20 @@ class WebSocketTransport(ABC):
         while True:
             await self._more.wait()
             self._more.clear()
-            while batch := self._outbox.take(contacts=loop.time() >= self._next_contact):
+            while batch := self._outbox.take(streams=loop.time() >= self._next_streamed):
                 for command in batch:
                     if self._session.is_pending(command):
                         self._spend(command, loop.time())
                         await connection.send(self._codec.encode(command), text=self._codec.text)
                 await asyncio.sleep(0)  # sending need not suspend: other tasks must get their turn
-            if self._outbox.contacts:
-                loop.call_at(self._next_contact, self._more.set)
+            if self._outbox.streams:
+                loop.call_at(self._next_streamed, self._more.set)
 
     def _spend(self, command: Command, now: float) -> None:
-        """Set when the next contact may be sent, by the rate that the server takes."""
-        if self._rate and isinstance(command, Contact):
-            share = 1.0 / (SHARE_OF_CONTACTS * self._rate)
-            self._next_contact = max(self._next_contact, now) + share
+        """Set when streams may be sent again, by the rate that the server takes."""
+        if self._rate and isinstance(command, Streamed):
+            share = 1.0 / (SHARE_OF_STREAMS * self._rate)
+            self._next_streamed = max(self._next_streamed, now) + share
 
     async def _keep(self, hello: "Future[Welcome]") -> None:
         welcome = await self._answer(hello, self._timeout, "hello")

@@ -250,7 +250,8 @@ class Event:
     ----------
     kind : str
         Kind of a `tactile.messages.EventMessage`, or one of this side: "connected" (again),
-        "disconnected", "refused" (a contact, or what was to be restored after a reconnection).
+        "disconnected", "refused" (a contact or frames, or what was to be restored after a
+        reconnection).
     display : str
         Name of the display, or "" if the event concerns all.
     detail : str

@@ -39,6 +39,7 @@ from benchmarks.session import measure_session
 from benchmarks.spectrum import measure_spectrum
 from benchmarks.startup import measure_startup
 from benchmarks.study import measure_study
+from benchmarks.tactile_frames import measure_tactile_frames, measure_tactile_frames_long
 from benchmarks.tracking import measure_tracking
 from benchmarks.travel import measure_travel
 from benchmarks.waves import measure_waves
@@ -72,6 +73,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "tracking": measure_tracking,
     "travel": measure_travel,
     "latency": measure_latency,
+    "tactile-frames": measure_tactile_frames,
     "page": measure_page,
     "page-position": measure_page_position,
     "waves": measure_waves,
@@ -88,6 +90,7 @@ LONG: dict[str, Benchmark] = {
     "page-fuzz": measure_page_fuzz,
     "streams": partial(links.measure_streams, links.LONG),
     "latency-long": measure_latency_long,
+    "tactile-frames-long": measure_tactile_frames_long,
     "deaths-long": partial(deaths.measure_deaths, deaths.LONG),
     "estop-long": partial(estop.measure_estop, estop.LONG),
     "estop-play": estop.measure_estop_play,

@@ -108,22 +108,41 @@ async def _session(
     return np.load(folder / "trace.npy"), sent[[n for n in numbers if n >= 0]], stats
 
 
+def output_times(amplifier: VirtualAmplifier, positions: Floats, due: Floats) -> Floats:
+    """Return the times at which an amplifier put samples out, by its clock.
+
+    Parameters
+    ----------
+    amplifier : VirtualAmplifier
+        Amplifier whose record is taken.
+    positions : (K,) array of float
+        Positions of the samples in the stream; the amplifier counts them from another beginning.
+    due : (K,) array of float
+        Times at which the host expected them [s].
+
+    Returns
+    -------
+    (K,) array of float
+        Times on the host's monotonic clock; NaN for samples that were not put out [s].
+    """
+    records = amplifier.take()
+    playing = records.state == State.RUNNING
+    ticks, counted = records.tick[playing], records.position[playing].astype(np.int64)
+    times = amplifier.powered_up + ticks.astype(np.float64) * 1e-6
+    nearest = np.clip(np.searchsorted(times, due), 1, len(times) - 1)
+    nearest -= due - times[nearest - 1] < times[nearest] - due
+    apart = np.rint(np.median(counted[nearest] - positions)).astype(np.int64)
+    when = dict(zip((counted - apart).tolist(), times.tolist(), strict=True))
+    return np.array([when.get(int(p), np.nan) for p in positions])
+
+
 def latencies(trace: Floats, sent: Floats, amplifier: VirtualAmplifier) -> Floats:
     """Return the time from each message to the first sample that depends on it (K,) [s].
 
     Messages before the first block or after the last are left out.
     """
-    records = amplifier.take()
-    playing = records.state == State.RUNNING
-    ticks, positions = records.tick[playing], records.position[playing].astype(np.int64)
-    times = amplifier.powered_up + ticks.astype(np.float64) * 1e-6
     block, contacts, due = trace.T
-    first_affected = block + LOOK_AHEAD
-    nearest = np.clip(np.searchsorted(times, due), 1, len(times) - 1)
-    nearest -= due - times[nearest - 1] < times[nearest] - due
-    apart = np.rint(np.median(positions[nearest] - first_affected)).astype(np.int64)
-    when = dict(zip((positions - apart).tolist(), times.tolist(), strict=True))
-    played = np.array([when.get(int(p), np.nan) for p in first_affected])
+    played = output_times(amplifier, block + LOOK_AHEAD, due)
     first = np.searchsorted(contacts, np.arange(len(sent)), side="right")
     inside = (first > 0) & (first < len(trace))
     late = played[first[inside]] - sent[inside]

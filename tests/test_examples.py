@@ -89,6 +89,14 @@ def test_waveform_streamer(addresses: dict[str, str]) -> None:
 
 
 @pytest.mark.realtime
+def test_tactile_images(addresses: dict[str, str]) -> None:
+    said = run(
+        "tactile_images.py", "--url", addresses["url"], "--display", "right", "--seconds", SECONDS
+    )
+    assert "frames were not played" in said
+
+
+@pytest.mark.realtime
 def test_osc_sender(addresses: dict[str, str]) -> None:
     pytest.importorskip("pythonosc")
     url = f"osc.udp://127.0.0.1:{addresses['osc']}"

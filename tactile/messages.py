@@ -76,8 +76,9 @@ MOST_LAYERS = 4
 MOST_SAMPLES = 4000
 """Maximum number of samples of a waveform in one message, as in XR_FB_haptic_pcm
 (XR_MAX_HAPTIC_PCM_BUFFER_SIZE_FB)."""
-MOST_FRAME_VALUES = 16_000
-"""Maximum number of values of the tactile frames in one message: 64 kB less its other fields."""
+MOST_FRAME_VALUES = 12_000
+"""Maximum number of values of the tactile frames in one message, which fits in `LARGEST_MESSAGE` in
+base64 too."""
 MOST_POINTS = 500
 """Maximum number of points of each curve of a parametric effect in one message, as in
 XR_EXT_haptic_parametric."""
@@ -407,7 +408,7 @@ class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
     amplitude_um : float
         Shear that a value of 1 stands for [µm].
     frames : list of float, or bytes
-        Values from −1 to 1, frame by frame, each with one value for every contactor, at most 16 000
+        Values from −1 to 1, frame by frame, each with one value for every contactor, at most 12 000
         in all: a list of numbers, or little-endian float32 as a binary field of MessagePack (a
         base64 string in JSON).
     latest : bool

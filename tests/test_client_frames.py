@@ -91,6 +91,7 @@ def test_a_frame_that_is_none_is_refused_in_one_line(
         ({"latest": "newest"}, "latest"),
         ({"grid": (3,)}, "grid: [3] must be the number of rows and of columns"),
         ({"grid": (0, 3)}, "grid: 0 × 3 taxels are none"),
+        ({"grid": (300, 300)}, "grid: 300 × 300 taxels are more than 65536"),
         ({"grid": (1.5, 3)}, "grid: 1.5 is not a whole number"),
         ({"extent": (0, 0, 1, 1)}, "extent: it belongs to a grid"),
         ({"grid": (2, 2), "extent": (0, 0, 0, 1)}, "must be left < right and bottom < top"),

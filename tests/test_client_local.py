@@ -9,9 +9,11 @@ import pytest
 from client_rig import MESSAGES, Script, Twin, opened_session, plain
 
 from tactile import messages as m
+from tactile.client import websocket
 from tactile.client.outbox import MOST_FRAMES, Outbox
 from tactile.client.session import ClientSession
 from tactile.errors import DisconnectedError
+from tactile.server.decoding import ENCODINGS, read
 
 
 class LocalTransport:
@@ -134,3 +136,17 @@ def test_frames_that_nobody_takes_stay_within_bounds_and_the_oldest_are_dropped(
     assert len(dropped) == 3
     *_, last = outbox.take()
     assert last == frames(b"last")
+
+
+@pytest.mark.parametrize("protocol", [m.JSON_PROTOCOL, m.MSGPACK_PROTOCOL])
+def test_frames_that_are_joined_to_the_largest_message_are_not_too_large(protocol: str) -> None:
+    """What is larger, a server does not read, and closes the connection."""
+    outbox = Outbox(lambda message: None)
+    for _ in range(m.MOST_FRAME_VALUES // 24):
+        outbox.put(frames(bytes(4 * 24), display="d" * 64))
+    (joined,) = outbox.take()
+    encoding = ENCODINGS[protocol]
+    data = websocket._Codec(protocol).encode(joined)
+    text = data.decode() if encoding.kind == "text" else data
+    assert read(text, encoding) == joined
+    assert len(data) <= m.LARGEST_MESSAGE

@@ -250,7 +250,7 @@ def frames(values: bytes | tuple[float, ...], **options: Any) -> m.TactileFrames
     ("values", "text"),
     [
         ((0.0,) * 25, "25 values are no whole number of frames for 24 contactors"),
-        (b"abc", "needs float32, at most 16000 of them"),
+        (b"abc", "needs float32, at most 12000 of them"),
         (b"\0\0\xc0\x7f" * 24, "must be −1 … 1 throughout"),
         (b"\0\0\0\x40" * 24, "must be −1 … 1 throughout"),
     ],
@@ -287,7 +287,7 @@ def test_frames_are_played_while_the_display_is_armed_and_counted_otherwise(
 
     def is_reached(_: m.StatsReply) -> bool:
         program.touch()
-        program.ask(frames(values * 600))  # more than half a second, however slow this machine is
+        program.ask(frames(values * 480))  # half a second, however slow this machine is
         return bool(np.allclose(memory.shear, 5e-6 * np.array(values), rtol=0.005, atol=1e-9))
 
     program.until(is_reached)

@@ -15,6 +15,8 @@ from tactile.errors import InputError
 
 Polygon = list[Pair]
 """Corners of a convex polygon, in order."""
+MOST_TAXELS = 1 << 16
+"""Maximum number of taxels of a grid, whose weights take a second (assumed to be enough)."""
 LONE = 1e-3
 """Side of the default extent for a display of one contactor [m]; any would do."""
 
@@ -140,7 +142,7 @@ class TaxelGrid:
     Raises
     ------
     InputError
-        If there is no taxel.
+        If there is no taxel, or there are too many.
 
     Examples
     --------
@@ -155,6 +157,8 @@ class TaxelGrid:
     def __init__(self, rows: int, columns: int, contactors: Sequence[Pair], extent: Extent) -> None:
         if rows < 1 or columns < 1:
             raise InputError(f"grid: {rows} × {columns} taxels are none")
+        if rows * columns > MOST_TAXELS:
+            raise InputError(f"grid: {rows} × {columns} taxels are more than {MOST_TAXELS}")
         self._size, self._extent = (rows, columns), extent
         self.taxels = rows * columns
         self.weights = [self._weights(_cell(contactors, k, extent)) for k in range(len(contactors))]

@@ -275,7 +275,7 @@ export interface TactileFrames {
   /** Shear that a value of 1 stands for [µm]. */
   amplitude_um: number;
   /**
-   * Values from −1 to 1, frame by frame, each with one value for every contactor, at most 16 000
+   * Values from −1 to 1, frame by frame, each with one value for every contactor, at most 12 000
    * in all: a list of numbers, or little-endian float32 as a binary field of MessagePack (a
    * base64 string in JSON).
    */

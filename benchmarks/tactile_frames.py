@@ -21,6 +21,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from benchmarks import traced_frames
@@ -50,7 +51,7 @@ FRAME_RATE = 1000.0
 """Rate of the frames [Hz]."""
 CONTACTORS = 64
 SHORT, LONG = 10.0, 300.0
-"""Durations of a stream [s]; a number of a frame is used again after a minute."""
+"""Durations of a stream [s]."""
 CLIENT = "from benchmarks.tactile_frames import send; send({!r}, {!r}, {!r}, {!r})"
 """Code of the client's process."""
 NAME = "bench"
@@ -147,11 +148,20 @@ async def _streamed(device: str, seconds: float, latest: bool, sent: Path) -> m.
     return stats
 
 
+def _counted_on(remainders: Floats) -> NDArray[np.int64]:
+    """Return numbers of frames in the order in which they came, from their remainders by `COUNT`.
+
+    Fewer than `COUNT` / 2 frames are missing between two of them.
+    """
+    return np.rint(np.unwrap(remainders, period=COUNT)).astype(np.int64)
+
+
 def lateness(traces: dict[str, Floats], sent: Floats, amplifier: VirtualAmplifier) -> Floats:
     """Return the time from each frame to the sample at which it is played (K,) [s].
 
     Of a queue, this is the sample in whose place the frame is; of the newest frame, the first
-    sample that depends on it. Numbers of frames are those of the first minute.
+    sample that depends on it. The traces hold the remainders of the numbers of frames by `COUNT`,
+    as numbers are used again after a minute; which minute it is follows from their order.
 
     Parameters
     ----------
@@ -172,10 +182,10 @@ def lateness(traces: dict[str, Floats], sent: Floats, amplifier: VirtualAmplifie
     if traces["kind"]:
         delay = LOOK_AHEAD
         fresh = np.flatnonzero(np.diff(newest, prepend=-1.0) != 0)
-        number, block, offset = newest[fresh].astype(int), fresh, np.zeros(len(fresh))
+        number, block, offset = _counted_on(newest[fresh]), fresh, np.zeros(len(fresh))
     else:
         number, index, of_stream = traces["frames"].T
-        number = number.astype(int)
+        number = _counted_on(number)
         key, keys = of_stream * 1e9 + index, stream * 1e9 + place
         block = np.searchsorted(keys, key, side="right") - 1
         offset = (key - keys[block]) / distance[block]
@@ -251,7 +261,9 @@ def _silence(name: str, latest: bool, how: signal.Signals) -> Figure:
     lasting = []
     for moment in moments:
         after = (times > moment) & (times < moment + 0.4) & loud
-        lasting.append(1e3 * (times[after].max() - moment) if after.any() else 0.0)
+        if not after.any():  # what did not play when it was ended would end at once
+            return not_measured(name, "a source was not played when it was ended")
+        lasting.append(1e3 * (times[after].max() - moment))
     return at_most(name, max(lasting), "ms", 120)
 
 
@@ -294,11 +306,14 @@ def fidelity(frame_rate: float, seconds: float = 2.0) -> float:
     part = slice(int(0.5 * RATE), int((seconds - 0.2) * RATE))
     time_s = np.arange(len(played))[part] / RATE
 
-    def error(delay: float) -> float:
-        return float(np.mean((played[part] - random_field(time_s - delay, count)) ** 2))
+    def error(delay: float, every: int) -> float:
+        sent = random_field(time_s[::every] - delay, count)
+        return float(np.mean((played[part][::every] - sent) ** 2))
 
-    near = min(np.arange(0, 0.02, 1 / RATE).tolist(), key=error)
-    best = minimize_scalar(error, bounds=(near - 1 / RATE, near + 1 / RATE), method="bounded")
+    # a part of the samples tells the delay to a sample, and takes a tenth of the time
+    near = min(np.arange(0, 0.02, 1 / RATE).tolist(), key=lambda delay: error(delay, 16))
+    around = near - 1 / RATE, near + 1 / RATE
+    best = minimize_scalar(lambda delay: error(delay, 1), bounds=around, method="bounded")
     return float(10 * np.log10(np.mean(played[part] ** 2) / best.fun))
 
 

@@ -4,7 +4,10 @@ Processor time is measured, so that other programs on the machine have little in
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 
@@ -17,6 +20,7 @@ from tactile.playback.block_rendering import BLOCK
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.voice import Voice
+from tactile.playback.waveforms import LONGEST, MOST_SEGMENTS
 from tactile.playback.waves import BLOCK_WORK, Curve
 
 CLIENTS = 60
@@ -25,10 +29,29 @@ BLOCKS = 1000
 """Number of blocks that are timed."""
 SECONDS = 3.0
 """Duration of an effect [s]."""
+CONTACTORS = 24
+"""Number of contactors of the display."""
+UNBOUNDED = 1 << 30
+"""Work for which there always is time, so that all is played whose cost is timed."""
+SETS = (0, 1), (1, 2)
+"""Contactors of segments that wait for each other."""
+Filler = Callable[[Voice], None]
+"""Function that fills a client's queue of samples."""
 
 
 def costliest(seconds: float = SECONDS) -> Curve:
-    """Return an effect with the largest numbers of points and of transients, which overlap."""
+    """Return an effect with the largest numbers of points and of transients, which overlap.
+
+    Parameters
+    ----------
+    seconds : float
+        Duration [s].
+
+    Returns
+    -------
+    Curve
+        Effect.
+    """
     time = np.linspace(0.0, seconds, m.MOST_POINTS)
     full = np.full(m.MOST_POINTS, 1.0)
     return Curve(
@@ -41,7 +64,18 @@ def costliest(seconds: float = SECONDS) -> Curve:
 
 
 def plain(seconds: float = SECONDS) -> Curve:
-    """Return an effect of two points."""
+    """Return an effect of two points.
+
+    Parameters
+    ----------
+    seconds : float
+        Duration [s].
+
+    Returns
+    -------
+    Curve
+        Effect.
+    """
     return Curve(
         1e-6,
         np.array([[0.0, 1.0], [seconds, 1.0]]),
@@ -52,7 +86,17 @@ def plain(seconds: float = SECONDS) -> Curve:
 
 
 def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
-    """Keep a client's queue full, with a number of segments in each message."""
+    """Keep a client's queue full, with a number of segments in each message.
+
+    Parameters
+    ----------
+    voice : Voice
+        Client.
+    sample_rate : float
+        Sample rate [Hz].
+    cuts : int
+        Number of segments.
+    """
     samples = np.full(m.MOST_SAMPLES // cuts, 1e-6, np.float32)
     while voice.queue.waiting() < 0.05:
         for k in range(cuts):
@@ -60,44 +104,102 @@ def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
                 return
 
 
+def alternate(voice: Voice, sample_rate: float = 48_000.0) -> None:
+    """Keep a second of a client's queue full, with as many segments as may wait.
+
+    Each message has the other of `SETS`, so that it needs a segment of its own.
+
+    Parameters
+    ----------
+    voice : Voice
+        Client.
+    sample_rate : float
+        Sample rate [Hz].
+    """
+    queue, seconds = voice.queue, LONGEST / (MOST_SEGMENTS + CONTACTORS)
+    samples = np.full(int(seconds * sample_rate), 1e-6, np.float32)
+    while queue.waiting() + seconds <= LONGEST:
+        newest = int(queue.waiting((2,)) > queue.waiting((0,)))
+        if not queue.append(samples, sample_rate, SETS[1 - newest]):
+            return
+
+
 def _player() -> PlaybackLoop:
-    display = load_display("reference-24")
+    display = load_display(f"reference-{CONTACTORS}")
     memory = PlaybackMemory.create(len(display.contactors))
     return PlaybackLoop(display, MockBus(Wiring.of(display, RATE)), memory)
 
 
-def _microseconds(clients: int, curve: Curve | None, *, cuts: int = 0) -> tuple[float, ...]:
-    """Return the mean and the 99th percentile of a block's time [µs], and its mean work."""
+@dataclass(frozen=True)
+class Cost:
+    """Cost of a block of all clients' waves.
+
+    Attributes
+    ----------
+    mean, p99 : float
+        Mean and 99th percentile of its time [µs].
+    work : float
+        Mean of its work.
+    dropped : float
+        Share of the clients' blocks for which there was no time [%].
+    """
+
+    mean: float
+    p99: float
+    work: float
+    dropped: float
+
+
+def _cost(clients: int, curve: Curve | None, filler: Filler | None = None) -> Cost:
+    """Time the blocks of clients that all play an effect, or samples."""
     player, taken, works = _player(), [], []
     for block in range(BLOCKS):
         for client in range(1, clients + 1):
             voice = player.voice(client)
             if curve is not None and block % 100 == 0:
                 voice.effect.begin(curve)
-            if cuts:
-                fill(voice, cuts=cuts)
+            if filler is not None:
+                filler(voice)
         works.append(sum(voice.work(BLOCK) for voice in player.voices.values()))
         begun = time.thread_time_ns()
         player._waves(BLOCK, block)
         taken.append(1e-3 * (time.thread_time_ns() - begun))
-    return float(np.mean(taken)), float(np.percentile(taken, 99)), float(np.mean(works))
+    dropped = 100 * player.dropped_waves / (BLOCKS * clients)
+    return Cost(
+        float(np.mean(taken)), float(np.percentile(taken, 99)), float(np.mean(works)), dropped
+    )
 
 
 def measure_waves() -> Iterator[Figure]:
-    """Time a block of one client's waves by kind, then of a crowd that plays all it may."""
-    kinds = {
-        "effect": (plain(), 0),
-        "effect_with_transients": (costliest(), 0),
-        "waveform": (None, 1),
-        "waveform_of_short_segments": (None, m.MOST_SAMPLES // 48),
+    """Time a block of one client's waves by kind, then of a crowd that plays all it may.
+
+    Yields
+    ------
+    Figure
+        Figures.
+    """
+    kinds: dict[str, tuple[Curve | None, Filler | None]] = {
+        "effect": (plain(), None),
+        "effect_with_transients": (costliest(), None),
+        "waveform": (None, fill),
+        "waveform_of_short_segments": (None, partial(fill, cuts=m.MOST_SAMPLES // 48)),
+        "waveform_of_overlapping_segments": (None, alternate),
     }
-    for name, (curve, cuts) in kinds.items():
-        one, _, work = _microseconds(1, curve, cuts=cuts)
-        two, _, works = _microseconds(2, curve, cuts=cuts)
-        yield Figure(f"waves.{name}", two - one, "µs a block")
-        yield Figure(f"waves.{name}.unit", 1e3 * (two - one) / (works - work), "ns")
+    for name, (curve, filler) in kinds.items():
+        with patch("tactile.playback.waves.BLOCK_WORK", UNBOUNDED):
+            one, two = (_cost(clients, curve, filler) for clients in (1, 2))
+        yield Figure(f"waves.{name}", two.mean - one.mean, "µs a block")
+        unit = 1e3 * (two.mean - one.mean) / (two.work - one.work)
+        yield Figure(f"waves.{name}.unit", unit, "ns")
     yield Figure("waves.budget", float(BLOCK_WORK), "units a block")
-    for name, curve, cuts in (("plain", plain(), 0), ("costliest", costliest(), 1)):
-        mean, p99, _ = _microseconds(CLIENTS, curve, cuts=cuts)
-        yield Figure(f"waves.{CLIENTS}_clients.{name}.mean", 1e-3 * mean, "ms a block")
-        yield at_most(f"waves.{CLIENTS}_clients.{name}.p99", 1e-3 * p99, "ms a block", 1)
+    alone = _cost(1, None, alternate)
+    yield Figure("waves.waveform_of_overlapping_segments.work", alone.work, "units a block")
+    yield Figure("waves.waveform_of_overlapping_segments.dropped", alone.dropped, "%")
+    crowds: tuple[tuple[str, Curve, Filler | None], ...] = (
+        ("plain", plain(), None),
+        ("costliest", costliest(), fill),
+    )
+    for name, curve, filler in crowds:
+        cost = _cost(CLIENTS, curve, filler)
+        yield Figure(f"waves.{CLIENTS}_clients.{name}.mean", 1e-3 * cost.mean, "ms a block")
+        yield at_most(f"waves.{CLIENTS}_clients.{name}.p99", 1e-3 * cost.p99, "ms a block", 1)

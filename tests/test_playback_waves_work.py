@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -219,7 +220,27 @@ def test_the_work_of_a_block_grows_with_its_segments_and_its_rate() -> None:
         return queue.work(BLOCK)
 
     assert work(RATE, 96) < work(48_000.0, 96) < work(48_000.0, 48) <= 2 * work(48_000.0, 96)
-    assert work(RATE, 1) > BLOCK_WORK, "a segment each sample"
+    assert work(48_000.0, 1) > BLOCK_WORK, "a segment each sample"
+
+
+@pytest.mark.parametrize("rates", [(1000.0,), (8000.0,), (48_000.0,), (48_000.0, 1000.0)])
+def test_there_is_time_for_a_waveform_on_each_of_64_contactors(rates: tuple[float, ...]) -> None:
+    queue = WaveformQueue(RATE, 64)
+    for k in range(64):
+        assert queue.append(np.ones(100, np.float32), rates[k % len(rates)], (k,)) == 100
+    assert queue.work(BLOCK) <= BLOCK_WORK
+
+
+def test_segments_that_are_not_near_a_block_take_no_time() -> None:
+    """There are as many segments as may wait, of 6 ms each."""
+    queue, samples = WaveformQueue(RATE, N), np.ones(48, np.float32)
+    count = 0
+    while queue.append(samples, RATE, SETS[count % 2]) == len(samples):
+        count += 1
+    assert count >= MOST_SEGMENTS
+    for _ in range(300):
+        assert queue.work(BLOCK) <= BLOCK_WORK / 4
+        assert queue.take(BLOCK) is not None
 
 
 def test_memory_is_bounded_by_what_waits() -> None:

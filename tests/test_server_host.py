@@ -5,7 +5,6 @@ tested in virtual time (`test_playback_process`, `test_estop_model`).
 """
 
 import asyncio
-import struct
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
@@ -296,30 +295,6 @@ def test_frames_are_played_while_the_display_is_armed_and_counted_otherwise(
     program.ask(m.StopPlaying(display=NAME))
     program.ask(frames(values * 2))
     program.until(lambda stats: stats.counters["dropped_frames"] == before + 2)
-
-
-def test_24_waveforms_for_24_contactors_play_at_the_same_time(program: Program, host: Host) -> None:
-    """Each contactor has a level of its own, for a second; all are taken whole."""
-    assert program.ask(m.ArmDisplay(display=NAME)) == [m.Done()]
-    program.until(lambda stats: stats.state == "armed")
-    memory = host.playing[NAME].memory
-    level = np.arange(1, 25) / 24
-
-    def plays(_: m.StatsReply) -> bool:
-        program.touch()
-        waves = [
-            m.Append(
-                display=NAME, sample_rate_hz=4e3, amplitude_um=5.0, contactors=(k,), append=False,
-                samples=struct.pack("<f", value) * m.MOST_SAMPLES,
-            )
-            for k, value in enumerate(level)
-        ]  # fmt: skip
-        answers = program.ask(*waves)
-        assert [getattr(answer, "samples_consumed", 0) for answer in answers] == [4000] * 24
-        return bool(np.allclose(memory.shear, 5e-6 * level, rtol=0.005, atol=1e-9))
-
-    program.until(plays)
-    program.ask(m.StopPlaying(display=NAME))
 
 
 def test_the_latency_is_null_while_nothing_plays(program: Program) -> None:

@@ -18,8 +18,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from tactile.arrays import Singles
+from tactile.playback.ending import Ending
 from tactile.playback.sinc_interpolation import SincInterpolation
-from tactile.playback.waveforms import ENDING, GRID_WORK, LONGEST, PRODUCTS, WaveformSegment
+from tactile.playback.waveforms import GRID_WORK, LONGEST, PRODUCTS, WaveformSegment
 from tactile.rendering.renderer import Ramp
 
 HOLD, FADE = 30e-3, 25e-3
@@ -68,6 +69,13 @@ class FrameStream(ABC):
         Number of contactors, N.
     """
 
+    _overhead: int
+    """Work of a block, the same for any small number of samples."""
+    _reach = 0
+    """Number of frames on either side that a sample depends on, besides the nearest."""
+    _patience = 0.0
+    """Number of samples without a frame in time from which on the source is late."""
+
     def __init__(self, frame_rate: float, drive_rate: float, contactors: int) -> None:
         self._rate, self._drive_rate = frame_rate, drive_rate
         self._contactors = contactors
@@ -82,11 +90,10 @@ class FrameStream(ABC):
         return self._sounds.silent
 
     @property
-    @abstractmethod
     def is_late(self) -> bool:
         """Whether the last frame is held because the next one has not come in time."""
+        return self._dry > self._patience
 
-    @abstractmethod
     def add(self, frames: Singles) -> int:
         """Take frames.
 
@@ -100,8 +107,11 @@ class FrameStream(ABC):
         int
             Number of frames, from the first, for which there was room.
         """
+        taken = self._add(frames)
+        if taken:
+            self._dry = 0
+        return taken
 
-    @abstractmethod
     def work(self, count: int) -> int:
         """Return the work of reading samples.
 
@@ -115,6 +125,13 @@ class FrameStream(ABC):
         int
             Work.
         """
+        near = 2 * self._reach
+        rows = near + math.ceil(count * self._rate / self._drive_rate)
+        return self._overhead + count * (near + rows * self._contactors // PRODUCTS)
+
+    @abstractmethod
+    def _add(self, frames: Singles) -> int:
+        """Take frames (F, N) [m], and return for how many there was room."""
 
     @abstractmethod
     def _read(self, count: int) -> Singles:
@@ -160,58 +177,27 @@ class QueuedFrames(FrameStream):
         Number of contactors, N.
     """
 
+    _overhead = GRID_WORK
+
     def __init__(self, frame_rate: float, drive_rate: float, contactors: int) -> None:
         super().__init__(frame_rate, drive_rate, contactors)
         self._interpolation = SincInterpolation(frame_rate, drive_rate, zeros=ZEROS, shape=SHAPE)
         self._frames = WaveformSegment(np.arange(contactors), 0, contactors)
         self._last = np.zeros((1, contactors), np.float32)
         self._most = min(LONGEST * frame_rate, MOST_VALUES / contactors)
-        self._at = -self._interpolation.reach - MARGIN * frame_rate
+        self._reach = self._interpolation.reach
+        self._at = -self._reach - MARGIN * frame_rate
         self._begun = False
         self._stretch = self._drift = 0.0
         self._least, self._watched = math.inf, 0
 
-    @property
-    def is_late(self) -> bool:
-        """Whether the last frame is repeated because a frame has not come in time."""
-        return self._dry > 0
-
-    def add(self, frames: Singles) -> int:
-        """Take frames and play them after those that wait.
-
-        Parameters
-        ----------
-        frames : (F, N) array of float32
-            Shear of each contactor [m].
-
-        Returns
-        -------
-        int
-            Number of frames, from the first, for which there was room.
-        """
+    def _add(self, frames: Singles) -> int:
         room = self._at + self._most - self._frames.end
         frames = frames[: max(int(room), 0)]
         if len(frames):
-            self._frames.add(frames, math.floor(self._at) - self._interpolation.reach)
-            self._last, self._dry = frames[-1:].copy(), 0
+            self._frames.add(frames, math.floor(self._at) - self._reach)
+            self._last = frames[-1:].copy()
         return len(frames)
-
-    def work(self, count: int) -> int:
-        """Return the work of reading samples.
-
-        Parameters
-        ----------
-        count : int
-            Number of samples of the drive.
-
-        Returns
-        -------
-        int
-            Work.
-        """
-        near = 2 * self._interpolation.reach
-        products = count * (near + int(count * self._step)) * self._contactors
-        return GRID_WORK + count * near + products // PRODUCTS
 
     @property
     def _step(self) -> float:
@@ -221,19 +207,18 @@ class QueuedFrames(FrameStream):
     def _missing(self, count: int) -> int:
         """Return the number of frames that the next samples need and that have not come."""
         last = math.floor(self._at + self._step * (count - 1))
-        return last + self._interpolation.reach + 1 - self._frames.end
+        return last + self._reach + 1 - self._frames.end
 
     def _read(self, count: int) -> Singles:
         step = self._step
         if not self._begun:  # a block needs all its frames when it begins
             self._begun, self._at = True, self._at - step * count
         missing = self._missing(count)
-        reach = self._interpolation.reach
-        needed = self._at + step * count + reach + 1
+        needed = self._at + step * count + self._reach + 1
         self._follow_clock(max(self._frames.end - needed, 0.0) / self._rate, count)
         self._dry = self._dry + count if missing > 0 else 0
         if missing > 0:
-            self._frames.add(self._last.repeat(missing, axis=0), math.floor(self._at) - reach)
+            self._frames.add(self._last.repeat(missing, axis=0), math.floor(self._at) - self._reach)
         first, weights = self._interpolation.weights(
             np.asarray(self._at + step * np.arange(count), np.float64)
         )
@@ -270,46 +255,17 @@ class LatestFrames(FrameStream):
         Number of contactors, N.
     """
 
+    _overhead = BASE_WORK
+
     def __init__(self, frame_rate: float, drive_rate: float, contactors: int) -> None:
         super().__init__(frame_rate, drive_rate, contactors)
+        self._patience = HOLD * drive_rate
         self._from = self._value = self._to = np.zeros(contactors, np.float32)
 
-    @property
-    def is_late(self) -> bool:
-        """Whether the stream has begun to fade because no frame came."""
-        return self._dry > HOLD * self._drive_rate
-
-    def add(self, frames: Singles) -> int:
-        """Take frames and play the last of them.
-
-        Parameters
-        ----------
-        frames : (F, N) array of float32
-            Shear of each contactor [m].
-
-        Returns
-        -------
-        int
-            Number of frames, from the first, for which there was room.
-        """
+    def _add(self, frames: Singles) -> int:
         if len(frames):
-            self._from, self._to, self._dry = self._value, frames[-1].copy(), 0
+            self._from, self._to = self._value, frames[-1].copy()
         return len(frames)
-
-    def work(self, count: int) -> int:
-        """Return the work of reading samples.
-
-        Parameters
-        ----------
-        count : int
-            Number of samples of the drive.
-
-        Returns
-        -------
-        int
-            Work.
-        """
-        return BASE_WORK + count * self._contactors // PRODUCTS
 
     def _read(self, count: int) -> Singles:
         passed = self._dry + np.arange(1, count + 1)
@@ -335,8 +291,7 @@ class FramePlayer:
         self._drive_rate, self._contactors = drive_rate, contactors
         self._stream: FrameStream | None = None
         self._key = 0.0, False
-        self._last: Singles | None = None
-        self._ending = np.zeros((0, contactors), np.float32)
+        self._ending = Ending(drive_rate, contactors)
 
     def add(self, frames: Singles, frame_rate: float, *, latest: bool) -> tuple[int, bool]:
         """Take frames. Those of another rate or kind end the stream that plays.
@@ -369,9 +324,7 @@ class FramePlayer:
     def end(self) -> None:
         """Let what plays fade within `ENDING`."""
         self._stream = None
-        if self._last is not None:
-            ramp = np.linspace(1, 0, int(ENDING * self._drive_rate) + 1, dtype=np.float32)
-            self._ending = self._last * ramp[1:, None]
+        self._ending.begin()
 
     def work(self, count: int) -> int:
         """Return the work of the next samples.
@@ -386,7 +339,7 @@ class FramePlayer:
         int
             Work; 0 if nothing plays.
         """
-        ending = BASE_WORK if len(self._ending) else 0
+        ending = BASE_WORK if self._ending.sounds else 0
         return ending + (0 if self._stream is None else self._stream.work(count))
 
     def take(self, count: int) -> Singles | None:
@@ -402,17 +355,15 @@ class FramePlayer:
         (S, N) array of float32 or None
             Shear [m]; None if nothing plays.
         """
-        if self._stream is None and not len(self._ending):
-            self._last = None
+        if self._stream is None and not self._ending.sounds:
+            self._ending.skip(count)
             return None
         out = np.zeros((count, self._contactors), np.float32)
         if self._stream is not None:
             out += self._stream.take(count)
             if self._stream.over:
                 self._stream = None
-        ending = self._ending[:count]
-        out[: len(ending)] += ending
-        self._ending, self._last = self._ending[count:], out[-1]
+        self._ending.add_to(out)
         return out
 
     def skip(self, count: int) -> None:
@@ -423,5 +374,8 @@ class FramePlayer:
         count : int
             Number of samples of the drive.
         """
-        self.take(count)
-        self._last = None
+        if self._stream is not None:
+            self._stream.take(count)
+            if self._stream.over:
+                self._stream = None
+        self._ending.skip(count)

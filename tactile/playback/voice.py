@@ -64,13 +64,9 @@ class Voice:
         self.queue = WaveformQueue(self._rate, self._contactors)
         self.effect = EffectPlayer(self._rate)
         self.frames = FramePlayer(self._rate, self._contactors)
+        self._parts = self.queue, self.effect, self.frames
         self._last: Singles | None = None
         self._silent = False
-
-    @property
-    def _parts(self) -> tuple[WaveformQueue, EffectPlayer, FramePlayer]:
-        """Players of its waves."""
-        return self.queue, self.effect, self.frames
 
     def end_waves(self) -> None:
         """Let all waves fade and drop them."""
@@ -91,7 +87,7 @@ class Voice:
         int
             Work; 0 without waves.
         """
-        return sum(part.work(count) for part in self._parts)
+        return self.queue.work(count) + self.effect.work(count) + self.frames.work(count)
 
     def take(self, count: int) -> Singles | None:
         """Return the next samples of its waves.

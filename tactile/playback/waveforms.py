@@ -12,22 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.arrays import Singles
+from tactile.playback.ending import Ending
 from tactile.playback.sinc_interpolation import SincInterpolation
 
 LONGEST = 1.0
 """Largest duration of samples that wait for one contactor of a client [s]."""
-ENDING = 5e-3
-"""Time in which a wave that is replaced or ends early falls to 0 [s]."""
 ZEROS, SHAPE = 8, 7.0
 """Length of the interpolation window on either side, in zeros of the sinc, and its shape: 70 dB
 (Kaiser's β 7)."""
 MOST_SEGMENTS = 128
 """Largest number of segments that wait in a queue, besides one for each contactor: within its
 `LONGEST`, a change of rate or contactors every 8 ms."""
-GRID_WORK, SEGMENT_WORK = 1000, 150
-"""Work of all samples of one rate in a block, and of each segment of it, the same for any small
-number of samples; in units of `tactile.playback.waves`."""
-PRODUCTS = 50
+GRID_WORK, SEGMENT_WORK = 1000, 100
+"""Work of all samples of one rate in a block, and of each segment on which the block depends, the
+same for any small number of samples; in units of `tactile.playback.waves`."""
+PRODUCTS = 200
 """Number of products of a kernel and a sample that take as much work as one evaluation of the
 kernel."""
 
@@ -49,19 +48,30 @@ class WaveformSegment:
 
     Attributes
     ----------
-    contactors : (K,) array of int
-        Contactors that play the samples.
     begin, end : int
         Rows of the grid of the first sample, and after the last one.
-    columns : int
-        Number of values in a sample.
+    places : slice or (K,) array of int
+        Contactors that play the samples, as indices of columns of the grid.
     """
 
-    def __init__(self, contactors: Contactors, first: int, columns: int) -> None:
-        self.contactors, self.columns = contactors, columns
+    def __init__(self, contactors: Contactors, first: int, columns: int = 1) -> None:
+        self.contactors = contactors
         self.begin = self.end = first
         self._data = np.zeros((0, columns), np.float32)
         self._first = first
+
+    @property
+    def contactors(self) -> Contactors:
+        """Contactors that play the samples, (K,)."""
+        return self._contactors
+
+    @contactors.setter
+    def contactors(self, contactors: Contactors) -> None:
+        self._contactors = contactors
+        first, last = (int(contactors[0]), int(contactors[-1])) if len(contactors) else (0, -1)
+        # a slice takes a third of the time of indices
+        together = last - first + 1 == len(contactors)
+        self.places: slice | Contactors = slice(first, last + 1) if together else contactors
 
     def add(self, samples: Singles, oldest: int) -> None:
         """Add samples at the end.
@@ -77,7 +87,8 @@ class WaveformSegment:
         if end > len(self._data):
             done = min(max(oldest - self._first, 0), count)
             left = self._data[done:count]
-            self._data = np.zeros((2 * (len(left) + len(samples)), self.columns), np.float32)
+            room = 2 * (len(left) + len(samples)), self._data.shape[1]
+            self._data = np.zeros(room, np.float32)
             self._data[: len(left)] = left
             self._first += done
             count, end = count - done, end - done
@@ -97,7 +108,7 @@ class WaveformSegment:
         low, high = max(first, self._first), min(first + len(window), self.end)
         if low < high:
             part = self._data[low - self._first : high - self._first]
-            window[low - first : high - first, self.contactors] += part
+            window[low - first : high - first, self.places] += part
 
     def leave(self, contactors: Contactors) -> None:
         """Take the samples of some contactors away.
@@ -107,11 +118,7 @@ class WaveformSegment:
         contactors : (K,) array of int
             Contactors that do not play the samples any more.
         """
-        stays = ~np.isin(self.contactors, contactors)
-        if self.columns > 1:
-            self._data = self._data[:, stays]
-            self.columns = self._data.shape[1]
-        self.contactors = self.contactors[stays]
+        self.contactors = np.setdiff1d(self.contactors, contactors)
 
 
 class WaveformGrid:
@@ -141,12 +148,18 @@ class WaveformGrid:
         self.rate = sample_rate
         self.segments: list[WaveformSegment] = []
         self._ends = np.zeros(contactors, np.intp)
+        self._last_end = 0
         self._ratio = sample_rate / drive_rate
         self._interpolation = SincInterpolation(sample_rate, drive_rate, zeros=ZEROS, shape=SHAPE)
         self._reach = self._interpolation.reach
         self._at = 0.0
 
-    def waiting(self, contactors: Contactors | slice) -> float:
+    @property
+    def is_over(self) -> bool:
+        """Whether all samples were read."""
+        return self._last_end <= self._at
+
+    def waiting(self, contactors: Contactors) -> float:
         """Return the time until all samples of some contactors were read [s]."""
         return max(float(self._ends[contactors].max()) - self._at, 0.0) / self.rate
 
@@ -155,8 +168,8 @@ class WaveformGrid:
 
         Parameters
         ----------
-        samples : (S, C) array of float32
-            Samples [m], of all contactors together or of each.
+        samples : (S, 1) array of float32
+            Samples [m].
         contactors : (K,) array of int
             Contactors that play them.
         after : float
@@ -172,21 +185,17 @@ class WaveformGrid:
         first = max(
             int(self._ends[contactors].max()), math.ceil(self._at + after * self.rate - 1e-6)
         )
-        columns = samples.shape[1]
         for segment in self.segments:
-            if (
-                segment.end == first
-                and segment.columns == columns
-                and np.array_equal(segment.contactors, contactors)
-            ):
+            if segment.end == first and np.array_equal(segment.contactors, contactors):
                 break
         else:
             if segments < 1:
                 return False
-            segment = WaveformSegment(contactors, first, columns)
+            segment = WaveformSegment(contactors, first)
             self.segments.append(segment)
         segment.add(samples, int(self._at) - self._reach)
         self._ends[contactors] = segment.end
+        self._last_end = max(self._last_end, segment.end)
         return True
 
     def leave(self, contactors: Contactors) -> None:
@@ -195,6 +204,7 @@ class WaveformGrid:
             segment.leave(contactors)
         self.segments = [segment for segment in self.segments if len(segment.contactors)]
         self._ends[contactors] = 0
+        self._last_end = int(self._ends.max())
 
     def work(self, count: int) -> int:
         """Return the work of reading samples.
@@ -211,7 +221,13 @@ class WaveformGrid:
         """
         near = 2 * self._reach
         products = count * (near + int(count * self._ratio)) * len(self._ends)
-        return GRID_WORK + count * near + products // PRODUCTS + SEGMENT_WORK * len(self.segments)
+        segments = SEGMENT_WORK * len(self._near(count)) + len(self.segments)
+        return GRID_WORK + count * near + products // PRODUCTS + segments
+
+    def _near(self, count: int) -> list[WaveformSegment]:
+        """Return the segments on which the next samples depend."""
+        last = self._at + self._ratio * count + self._reach
+        return [segment for segment in self.segments if segment.begin <= last]
 
     def read(self, count: int) -> Singles:
         """Return the next samples.
@@ -230,14 +246,17 @@ class WaveformGrid:
         first, weights = self._interpolation.weights(time)
         window = np.zeros((weights.shape[1], len(self._ends)), np.float32)
         sounds = np.zeros((count, len(self._ends)), np.float32)
-        for segment in self.segments:
+        for segment in self._near(count):
             segment.add_to(window, first)
-            begin, end = np.searchsorted(time, (segment.begin, segment.end))
-            sounds[begin:end, segment.contactors] = 1
+            sounds[self._sample(segment.begin) : self._sample(segment.end), segment.places] = 1
         samples: Singles = weights @ window
         samples *= sounds  # a sinc would be heard before its first sample and after its last one
         self.skip(count)
         return samples
+
+    def _sample(self, row: int) -> int:
+        """Return the next sample of the drive, from now, that is not before a row of the grid."""
+        return max(math.ceil((row - self._at) / self._ratio), 0)
 
     def skip(self, count: int) -> None:
         """Advance without reading.
@@ -266,8 +285,7 @@ class WaveformQueue:
     def __init__(self, sample_rate: float, contactors: int) -> None:
         self._rate, self._all = sample_rate, np.arange(contactors)
         self._grids: dict[float, WaveformGrid] = {}
-        self._ending = np.zeros((0, contactors), np.float32)
-        self._last: Singles | None = None
+        self._ending = Ending(sample_rate, contactors)
 
     def waiting(self, contactors: tuple[int, ...] = ()) -> float:
         """Return the time until all samples of some contactors were played.
@@ -299,12 +317,12 @@ class WaveformQueue:
 
         Parameters
         ----------
-        samples : (S,) or (S, K) array of float32
-            Samples [m], for all of the contactors together or for each.
+        samples : (S,) array of float32
+            Samples [m].
         sample_rate : float
             Sample rate [Hz].
         contactors : tuple of int
-            Contactors that play them, in ascending order if each has its own; empty for all.
+            Contactors that play them; empty for all.
         longest : float
             Largest duration of samples that may wait [s].
 
@@ -315,8 +333,8 @@ class WaveformQueue:
             segment more than `MOST_SEGMENTS`.
         """
         chosen = self._chosen(contactors)
-        rows = samples if samples.ndim == 2 else samples[:, None]
-        rows = rows[: int(max(longest - self.waiting(contactors), 0.0) * sample_rate)]
+        room = int(max(longest - self.waiting(contactors), 0.0) * sample_rate)
+        rows = samples[:room, None]
         if not len(rows):
             return 0
         others = [grid for rate, grid in self._grids.items() if rate != sample_rate]
@@ -341,12 +359,7 @@ class WaveformQueue:
         chosen = self._chosen(contactors)
         for grid in self._grids.values():
             grid.leave(chosen)
-        if self._last is not None:
-            ramp = np.linspace(1, 0, int(ENDING * self._rate) + 1, dtype=np.float32)[1:, None]
-            ending = np.zeros((len(ramp), len(self._all)), np.float32)
-            ending[: len(self._ending)] = self._ending
-            ending[:, chosen] = self._last[chosen] * ramp
-            self._ending = ending
+        self._ending.begin(chosen)
 
     def work(self, count: int) -> int:
         """Return the work of the next samples.
@@ -361,8 +374,10 @@ class WaveformQueue:
         int
             Work; 0 if nothing waits.
         """
-        ending = SEGMENT_WORK if len(self._ending) else 0
-        return ending + sum(grid.work(count) for grid in self._grids.values())
+        work = SEGMENT_WORK if self._ending.sounds else 0
+        for grid in self._grids.values():
+            work += grid.work(count)
+        return work
 
     def take(self, count: int) -> Singles | None:
         """Return the next samples.
@@ -377,16 +392,14 @@ class WaveformQueue:
         (S, N) array of float32 or None
             Shear [m]; None if nothing waits.
         """
-        if not self._grids and not len(self._ending):
-            self._last = None
+        if not self._grids and not self._ending.sounds:
+            self._ending.skip(count)
             return None
         out = np.zeros((count, len(self._all)), np.float32)
         for grid in self._grids.values():
             out += grid.read(count)
-        ending = self._ending[:count]
-        out[: len(ending)] += ending
-        self._last = out[-1]
-        self._advance(count)
+        self._ending.add_to(out)
+        self._drop_played()
         return out
 
     def skip(self, count: int) -> None:
@@ -399,13 +412,10 @@ class WaveformQueue:
         """
         for grid in self._grids.values():
             grid.skip(count)
-        self._last = None
-        self._advance(count)
+        self._ending.skip(count)
+        self._drop_played()
 
-    def _advance(self, count: int) -> None:
-        """Forget what was played: the rest of an ending, and grids of which nothing waits."""
-        self._ending = self._ending[count:]
-        everything = slice(None)
-        self._grids = {
-            rate: grid for rate, grid in self._grids.items() if grid.waiting(everything) > 0
-        }
+    def _drop_played(self) -> None:
+        """Drop grids of which nothing waits."""
+        for rate in [rate for rate, grid in self._grids.items() if grid.is_over]:
+            del self._grids[rate]

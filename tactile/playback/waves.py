@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tactile.arrays import Floats, Singles
-from tactile.playback.waveforms import ENDING
+from tactile.playback.ending import ENDING
 
 HOLD = 50e-3
 """Time for which a streamed effect is held after its last point (XR_EXT_haptic_parametric) [s]."""

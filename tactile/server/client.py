@@ -28,10 +28,10 @@ from tactile.messages import (
     kind_of,
 )
 from tactile.playback import commands
+from tactile.playback.ending import ENDING
 from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.frame_stream import FADE, HOLD
 from tactile.playback.shear_ring import ShearRing
-from tactile.playback.waveforms import ENDING
 from tactile.playback.waves import Curve
 from tactile.rendering.surface_picture import SurfaceSection
 from tactile.server.decoding import failed, hint

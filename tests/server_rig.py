@@ -44,8 +44,8 @@ from tactile.messages import (
     Role,
     Select,
     StatsReply,
+    Streamed,
     Subscribe,
-    TactileFrames,
     TelemetryMessage,
     TextureInfo,
     TexturePicture,
@@ -94,18 +94,13 @@ class Hand(Client):
         self.commands: list[Command] = []
         self.closed = 0
 
-    def contact(self, message: Contact, arrival: float) -> Failure | None:
+    def stream(self, message: Streamed, arrival: float) -> Failure | None:
         if self.hands.broken:
             raise ZeroDivisionError
         if message.display not in self.hands.names:
             return Failure(code="unknown_display", message="no display", field="display")
-        self.contacts.append(message)
-        self.hands.log.append((self.name, message))
-        return None
-
-    def frames(self, message: TactileFrames) -> Failure | None:
-        if self.hands.broken:
-            raise ZeroDivisionError
+        if isinstance(message, Contact):
+            self.contacts.append(message)
         self.hands.log.append((self.name, message))
         return None
 

@@ -68,7 +68,7 @@ class Story:
         contact = m.Contact(
             display=NAME, position_mm=place, normal_force_n=force, velocity_mm_s=velocity
         )
-        client.contact(contact, self.world.clock.now())
+        client.stream(contact, self.world.clock.now())
 
     def play_everything(self, one: Client, two: Client) -> None:
         """Play textures, waveforms and effects, with an e-stop and two fingers."""

@@ -136,7 +136,7 @@ class Program:
     ) -> m.Failure | None:
         contact = m.Contact(display=NAME, position_mm=(x, 0.0), normal_force_n=force)
         came = time.monotonic() if arrival is None else arrival
-        return self.runner.call(lambda: self.client.contact(contact, came))
+        return self.runner.call(lambda: self.client.stream(contact, came))
 
     def stats(self) -> m.StatsReply:
         (answer,) = self.ask(m.GetStats(display=NAME))
@@ -204,7 +204,7 @@ def test_an_unknown_display_is_named_with_the_nearest(program: Program) -> None:
     assert (told.code, told.field) == ("unknown_display", "display")
     assert "'right'" in told.message
     contact = m.Contact(display="left", position_mm=(0, 0), normal_force_n=0.5)
-    assert isinstance(program.client.contact(contact, 0.0), m.Failure)
+    assert isinstance(program.client.stream(contact, 0.0), m.Failure)
     assert failure(program.ask(m.EStop(display="left"))).code == "unknown_display"
 
 
@@ -319,7 +319,7 @@ def test_frames_that_playback_does_not_take_are_dropped_for_their_client_alone(
     with monkeypatch.context() as patch:
         patch.setattr(host.playing[NAME].child, "send", sent.append)
         for one in (program, other):
-            one.runner.call(lambda: [one.client.frames(message) for _ in range(100)])  # noqa: B023
+            one.runner.call(lambda: [one.client.stream(message, 0.0) for _ in range(100)])  # noqa: B023
     assert [order.client for _, order in sent] == (
         [program.client.number] * MOST_FRAME_ORDERS + [other.client.number] * MOST_FRAME_ORDERS
     )

@@ -201,7 +201,7 @@ def test_each_texture_of_a_selection_is_felt(
         touch = m.Contact(
             display=NAME, position_mm=place, normal_force_n=1.0, velocity_mm_s=(50.0, 0.0)
         )
-        assert client.contact(touch, world.clock.now()) is None
+        assert client.stream(touch, world.clock.now()) is None
         world.run(asyncio.sleep(0.01))
     assert max(peaks) > 1.0
 

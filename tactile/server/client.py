@@ -163,12 +163,12 @@ class Client:
         self._telemetry.clear()
         self._host.drop(self)
 
-    def contact(self, message: Contact, arrival: float) -> Failure | None:
-        """Take a contact.
+    def stream(self, message: Streamed, arrival: float) -> Failure | None:
+        """Take a message that is part of a stream.
 
         Parameters
         ----------
-        message : Contact
+        message : Contact or TactileFrames
             Message of the client.
         arrival : float
             Time of arrival on the monotonic clock [s].
@@ -176,13 +176,19 @@ class Client:
         Returns
         -------
         Failure or None
-            What is wrong with the contact.
+            What is wrong with it.
         """
         playing = self._host.playing.get(message.display)
         if playing is None:
             return self._unknown_display(message.display)
         if not PLAY & self.roles:
             return self._refusal(message, PLAY)
+        if isinstance(message, TactileFrames):
+            return self._frames(playing, message)
+        self._contact(playing, message, arrival)
+        return None
+
+    def _contact(self, playing: Playing, message: Contact, arrival: float) -> None:
         when = arrival
         if message.time_us is not None:
             clock = self._clocks.setdefault(message.display, ClockMap())
@@ -194,26 +200,8 @@ class Client:
             velocity = vx * 1e-3, vy * 1e-3
         sample = FingerSample(when, arrival, x * 1e-3, y * 1e-3, message.normal_force_n, velocity)
         playing.add_sample(self.number, sample)
-        return None
 
-    def frames(self, message: TactileFrames) -> Failure | None:
-        """Take tactile frames.
-
-        Parameters
-        ----------
-        message : TactileFrames
-            Message of the client.
-
-        Returns
-        -------
-        Failure or None
-            What is wrong with the frames.
-        """
-        playing = self._host.playing.get(message.display)
-        if playing is None:
-            return self._unknown_display(message.display)
-        if not PLAY & self.roles:
-            return self._refusal(message, PLAY)
+    def _frames(self, playing: Playing, message: TactileFrames) -> Failure | None:
         if playing.how.carriers:
             return failed("unsupported", NO_WAVEFORMS, field="display")
         values = _unit_values(message.frames, m.MOST_FRAME_VALUES, "frames")
@@ -232,25 +220,6 @@ class Client:
         sounds = loop_time() + len(shear) / message.frame_rate_hz + HOLD + FADE
         self._sounds_until = max(self._sounds_until, sounds)
         return None
-
-    def stream(self, message: Streamed, arrival: float) -> Failure | None:
-        """Take a message that is part of a stream.
-
-        Parameters
-        ----------
-        message : Contact or TactileFrames
-            Message of the client.
-        arrival : float
-            Time of arrival on the monotonic clock [s].
-
-        Returns
-        -------
-        Failure or None
-            What is wrong with it.
-        """
-        if isinstance(message, TactileFrames):
-            return self.frames(message)
-        return self.contact(message, arrival)
 
     async def request(self, command: Command) -> Answer:
         """Carry out a request.

@@ -367,7 +367,7 @@ class OscProtocol(asyncio.DatagramProtocol):
         self, sender: Sender, command: Command | Failure, now: float, addr: Address
     ) -> None:
         if isinstance(command, Contact):
-            failure = sender.client.contact(command, now)
+            failure = sender.client.stream(command, now)
             self._traffic.message("contact", loop_time() - now)
             if failure is None:
                 self._check_state(sender, command.display, addr)

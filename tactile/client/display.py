@@ -15,10 +15,11 @@ from tactile.client import wire
 from tactile.client.base import BaseConnection
 from tactile.client.events import Callback, as_callback
 from tactile.client.frames import FrameWriter
+from tactile.client.taxels import to_grid
 from tactile.client.telemetry import AsyncTelemetryStream, TelemetryStream
 from tactile.client.waiting import AsyncClosing, Closing, blocking
 from tactile.client.waveform import Waveform, pause_after
-from tactile.errors import ClientTimeoutError, NotFoundError
+from tactile.errors import ClientTimeoutError, InputError, NotFoundError
 from tactile.messages import Done, EffectInfo, Request, TextureInfo
 
 if TYPE_CHECKING:
@@ -183,11 +184,13 @@ class BaseDisplay:
             for image in sensor:
                 frames.write(image)
         """
-        session, contactors = self._connection._session, self.info.contactors
-        return FrameWriter(
-            session.send_streamed, self.name, contactors,
-            rate=rate, amplitude=amplitude, latest=latest, grid=grid, extent=extent,
-        )  # fmt: skip
+        if grid is None and extent is not None:
+            raise InputError("extent: it belongs to a grid; give its size as grid=(rows, columns)")
+        contactors = self.info.contactors
+        taxels = None if grid is None else to_grid(grid, contactors, extent)
+        message = wire.to_frames(self.name, rate, amplitude, latest=latest)
+        send = self._connection._session.send_streamed
+        return FrameWriter(send, message, len(contactors), taxels)
 
     async def _do(self, request: Request, timeout: float | None) -> None:
         """Send a request that is answered by `Done`."""

@@ -2,13 +2,13 @@
 
 import sys
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
-from tactile.client.taxels import flattened, to_grid
-from tactile.client.wire import Pair, checked, excerpt, to_number
+from tactile.client.taxels import TaxelGrid, flattened
+from tactile.client.wire import excerpt
 from tactile.errors import InputError
 from tactile.messages import TactileFrames
 
@@ -20,53 +20,23 @@ class FrameWriter:
     ----------
     send : Callable
         Function that sends a message without waiting.
-    display : str
-        Name of the display.
-    contactors : (N, 2) sequence of float
-        Positions of its contactors [m].
-    rate : float
-        Rate of the frames [Hz].
-    amplitude : float
-        Shear of a value of 1 [m].
-    latest : bool
-        Whether only the newest frame counts.
-    grid : (2,) sequence of int, optional
-        Number of rows and columns of a grid of taxels, of which each frame is an image.
-    extent : (4,) iterable of float, optional
-        Left, bottom, right and top side of the grid [m].
-
-    Raises
-    ------
-    InputError
-        If an argument is not of that kind.
+    message : TactileFrames
+        Message of each frame, but for its ``frames``.
+    contactors : int
+        Number of contactors of the display.
+    grid : TaxelGrid, optional
+        Grid of which each frame is an image; by default a frame has a value for each contactor.
     """
 
     def __init__(
         self,
         send: Callable[[TactileFrames], None],
-        display: str,
-        contactors: Sequence[Pair],
-        *,
-        rate: float,
-        amplitude: float,
-        latest: bool,
-        grid: Sequence[int] | None,
-        extent: Iterable[float] | None,
+        message: TactileFrames,
+        contactors: int,
+        grid: TaxelGrid | None,
     ) -> None:
-        self._send = send
-        if grid is None and extent is not None:
-            raise InputError("extent: it belongs to a grid; give its size as grid=(rows, columns)")
-        self._grid = None if grid is None else to_grid(grid, contactors, extent)
-        self._values = len(contactors) if self._grid is None else self._grid.taxels
-        self._message = checked(
-            TactileFrames(
-                display=display,
-                frame_rate_hz=to_number(rate, "rate [Hz]"),
-                amplitude_um=to_number(amplitude, "amplitude [m]") * 1e6,
-                frames=b"",
-                latest=latest,
-            )
-        )
+        self._send, self._message, self._grid = send, message, grid
+        self._values = contactors if grid is None else grid.taxels
 
     def write(self, frame: Any) -> None:
         """Send one frame; this never waits, whatever the network does.

@@ -27,6 +27,7 @@ from tactile.messages import (
     Layer,
     PlayEffect,
     Point,
+    TactileFrames,
     Transient,
     kind_of,
 )
@@ -477,6 +478,41 @@ def to_contact(
         _to_pair(velocity, "velocity [m/s]: {} is not two numbers, as (0.08, 0.0)")
         raise
     return _read(plain, Contact)
+
+
+def to_frames(display: str, rate: float, amplitude: float, *, latest: bool) -> TactileFrames:
+    """Return the message of tactile frames, as yet without one.
+
+    Parameters
+    ----------
+    display : str
+        Name of the display.
+    rate : float
+        Rate of the frames [Hz].
+    amplitude : float
+        Shear of a value of 1 [m].
+    latest : bool
+        Whether only the newest frame counts.
+
+    Returns
+    -------
+    TactileFrames
+        Message with these values.
+
+    Raises
+    ------
+    InputError
+        If a value is not a number, or out of range.
+    """
+    return checked(
+        TactileFrames(
+            display=display,
+            frame_rate_hz=to_number(rate, "rate [Hz]"),
+            amplitude_um=to_number(amplitude, "amplitude [m]") * 1e6,
+            frames=b"",
+            latest=latest,
+        )
+    )
 
 
 def _to_pair(values: Any, complaint: str) -> Pair:

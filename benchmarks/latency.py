@@ -9,29 +9,23 @@ the first of the next block, delayed by the look-ahead of the limiter.
 """
 
 import asyncio
-import os
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from functools import partial
 from pathlib import Path
-from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
 from benchmarks import traced_playback
-from benchmarks.traced_playback import FILE
+from benchmarks.tracing import traced
 from benchmarks.virtual import NO_AMPLIFIER, VirtualAmplifier, can_be_built, workshop
 from firmware_protocol.messages import State
 from tactile import messages as m
 from tactile.arrays import Floats
 from tactile.bench.figures import Figure, at_most, beside_machine, not_measured
 from tactile.rendering.limiter import LOOK_AHEAD
-from tactile.server import playing as server_playing
-from tactile.server.children import Child
 from tactile.server.config import Configuration, DisplayConfig, ServerConfig
 from tactile.server.host import Host
 from tactile.server.server import running
@@ -53,7 +47,17 @@ FORCE, MARK = 0.5, 1e-9
 
 
 def send(url: str, seconds: float, file: str) -> None:
-    """Send positions at `RATE` for a while, and store the time at which each was sent."""
+    """Send positions at `RATE` for a while, and store the time at which each was sent.
+
+    Parameters
+    ----------
+    url : str
+        URL of the server.
+    seconds : float
+        Duration [s].
+    file : str
+        File for the times, an array of one for each message [s, monotonic].
+    """
     import tactile.client
 
     count = int(seconds * RATE)
@@ -150,7 +154,18 @@ def latencies(trace: Floats, sent: Floats, amplifier: VirtualAmplifier) -> Float
 
 
 def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
-    """Measure the latency over a pty, with samples and with spectrum frames."""
+    """Measure the latency over a pty, with samples and with spectrum frames.
+
+    Parameters
+    ----------
+    seconds : float
+        Duration of a stroke [s].
+
+    Yields
+    ------
+    Figure
+        Figures.
+    """
     if not can_be_built():
         yield not_measured("latency", NO_AMPLIFIER)
         return
@@ -158,19 +173,10 @@ def measure_latency(seconds: float = SHORT) -> Iterator[Figure]:
     yield from _measured("latency.spectrum", "?format=spectrum", seconds, goals=False)
 
 
-def traced_child(child: type[Child], module: str, *rest: Any) -> Child:
-    """Start the traced playback in place of a playback process."""
-    assert module == "tactile.playback.process"
-    return child(traced_playback.__name__, *rest)
-
-
 def _measured(name: str, options: str, seconds: float, *, goals: bool) -> Iterator[Figure]:
     with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
         device = f"serial://{amplifier.path}{options}"
-        with (
-            patch.object(server_playing, "Child", partial(traced_child, Child)),
-            patch.dict(os.environ, {FILE: str(folder / "trace.npy")}),
-        ):
+        with traced(traced_playback, folder / "trace.npy"):
             trace, sent, stats = asyncio.run(_session(folder, device, seconds))
         time.sleep(0.1)
         late = 1e3 * latencies(trace, sent, amplifier)

@@ -19,7 +19,6 @@ import time
 import urllib.request
 from collections.abc import AsyncIterator, Awaitable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, closing, contextmanager, suppress
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -27,20 +26,19 @@ from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks import traced_playback
 from benchmarks.app import TEXTURE
-from benchmarks.latency import latencies, traced_child
+from benchmarks.latency import latencies
 from benchmarks.server import NAME, PATIENCE, POLL, ServerProcess, amplifier_and_folder
-from benchmarks.traced_playback import FILE
+from benchmarks.tracing import traced
 from benchmarks.virtual import NO_AMPLIFIER, VirtualAmplifier, can_be_built
 from tactile.arrays import Floats
 from tactile.bench.figures import RATE, Figure, at_least, at_most, beside_machine, not_measured
 from tactile.client import aio
 from tactile.client.display import AsyncDisplay
 from tactile.errors import ClientError
-from tactile.messages import Contact, Failure
+from tactile.messages import Contact, Failure, Streamed
 from tactile.playback.block_rendering import BLOCK
-from tactile.server import playing as server_playing
-from tactile.server.children import Child
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, ServerConfig
 from tactile.server.page import FOLDER
@@ -464,15 +462,15 @@ async def _session(folder: Path, device: str) -> Strokes | None:
         display=(DisplayConfig(name=NAME, device=device),),
     )
     taken: list[tuple[float, float]] = []
-    take = Client.contact
+    take = Client.stream
 
-    def contact(client: Client, message: Contact, arrival: float) -> Failure | None:
+    def stream(client: Client, message: Streamed, arrival: float) -> Failure | None:
         failure = take(client, message, arrival)
-        if failure is None and message.time_us is not None:
+        if failure is None and isinstance(message, Contact) and message.time_us is not None:
             taken.append((1e-6 * message.time_us, arrival))
         return failure
 
-    with patch.object(Client, "contact", contact):
+    with patch.object(Client, "stream", stream):
         async with running(config) as server:
             await _run_stroke(STROKE.format(server.page, str(folder / "clock.npy")))
     times = np.array(taken)
@@ -502,10 +500,7 @@ def _latency() -> Iterator[Figure]:
     """
     for tries in range(1, TRIES + 1):
         with amplifier_and_folder() as (amplifier, folder):
-            with (
-                patch.object(server_playing, "Child", partial(traced_child, Child)),
-                patch.dict(os.environ, {FILE: str(folder / "trace.npy")}),
-            ):
+            with traced(traced_playback, folder / "trace.npy"):
                 strokes = asyncio.run(_session(folder, f"serial://{amplifier.path}"))
             if strokes is not None:
                 yield Figure("page.latency.tries", float(tries), "")

@@ -8,7 +8,6 @@ newest frame: in a queue, a frame also waits for the four after it. Random field
 """
 
 import asyncio
-import os
 import signal
 import subprocess
 import sys
@@ -16,9 +15,7 @@ import time
 from asyncio.subprocess import Process
 from collections.abc import Iterator
 from contextlib import closing
-from functools import partial
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +23,8 @@ from scipy.optimize import minimize_scalar
 
 from benchmarks import traced_frames
 from benchmarks.latency import output_times
-from benchmarks.traced_frames import AMPLITUDE, COUNT, FILE
+from benchmarks.traced_frames import AMPLITUDE, COUNT
+from benchmarks.tracing import traced
 from benchmarks.virtual import NO_AMPLIFIER, VirtualAmplifier, can_be_built, workshop
 from tactile import messages as m
 from tactile.arrays import Floats, Singles
@@ -39,8 +37,6 @@ from tactile.playback.loop import PlaybackLoop
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.voice import Voice
 from tactile.rendering.limiter import LOOK_AHEAD
-from tactile.server import playing as server_playing
-from tactile.server.children import Child
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, ServerConfig
 from tactile.server.host import Host
@@ -89,7 +85,19 @@ def random_field(time: Floats, contactors: int) -> Floats:
 
 
 def send(url: str, seconds: float, latest: bool, file: str) -> None:
-    """Write numbered frames for a while, and store the time at which each was written."""
+    """Write numbered frames for a while, and store the time at which each was written.
+
+    Parameters
+    ----------
+    url : str
+        URL of the server.
+    seconds : float
+        Duration [s].
+    latest : bool
+        Whether only the newest frame counts.
+    file : str
+        File for the times, an array of one for each frame [s, monotonic].
+    """
     import tactile.client
 
     count = int(seconds * FRAME_RATE)
@@ -202,10 +210,7 @@ def _latencies(name: str, seconds: float, latest: bool) -> Iterator[Figure]:
         closing(VirtualAmplifier(folder, "--pty", channels=CONTACTORS)) as amplifier,
     ):
         trace, sent = folder / "trace.npz", folder / "sent.npy"
-        with (
-            patch.object(server_playing, "Child", partial(traced_child, Child)),
-            patch.dict(os.environ, {FILE: str(trace)}),
-        ):
+        with traced(traced_frames, trace):
             stats = asyncio.run(_streamed(f"serial://{amplifier.path}", seconds, latest, sent))
         time.sleep(0.1)
         late = 1e3 * lateness(dict(np.load(trace)), np.load(sent), amplifier)
@@ -217,12 +222,6 @@ def _latencies(name: str, seconds: float, latest: bool) -> Iterator[Figure]:
         "dropped_frames", "frame_gaps", "late_blocks", "skipped_samples", "underruns",
     ):  # fmt: skip
         yield Figure(f"{name}.{counter}", float(stats.counters[counter]), "")
-
-
-def traced_child(child: type[Child], module: str, *rest: object) -> Child:
-    """Start the traced playback in place of a playback process."""
-    assert module == "tactile.playback.process"
-    return child(traced_frames.__name__, *rest)  # type: ignore[arg-type]
 
 
 async def _silences(device: str, latest: bool, how: signal.Signals, folder: Path) -> list[float]:
@@ -333,7 +332,18 @@ def _block_time(frame_rate: float) -> float:
 
 
 def measure_tactile_frames(seconds: float = SHORT) -> Iterator[Figure]:
-    """Measure how late, how exactly and at which cost frames are played, and how they end."""
+    """Measure how late, how exactly and at which cost frames are played, and how they end.
+
+    Parameters
+    ----------
+    seconds : float
+        Duration of a stream [s].
+
+    Yields
+    ------
+    Figure
+        Figures.
+    """
     for rate in (2000.0, 8000.0):
         name = f"tactile_frames.fidelity.{rate:g}_hz"
         yield at_least(name, fidelity(rate), "dB", 40)

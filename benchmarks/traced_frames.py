@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.traced_playback import FILE
 from tactile.playback import commands, process
 from tactile.playback.frame_stream import FrameStream, LatestFrames, QueuedFrames
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.mixer import MixerOrder
 
-FILE = "TACTILE_BENCHMARK_FRAMES"
-"""Environment variable with the path of the file that the trace is written to."""
 COUNT = 1 << 16
 """Number of frames that are numbered: the first contactor's value is the number over this."""
 AMPLITUDE = 2e-6

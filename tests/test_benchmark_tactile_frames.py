@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.tactile_frames import fidelity, lateness
-from benchmarks.traced_frames import AMPLITUDE, COUNT, FILE, FrameTracingLoop
+from benchmarks.traced_frames import AMPLITUDE, COUNT, FrameTracingLoop
+from benchmarks.traced_playback import FILE
 from benchmarks.virtual import Records, VirtualAmplifier
 from firmware_protocol.messages import State
 from tactile.arrays import Floats

@@ -401,7 +401,8 @@ def test_forbidden_configuration_does_not_start_and_is_named(boot: Boot, tmp_pat
     printed = emulator.first
     while printed.count(b"\n") < 2:
         printed += emulator.read()
-    assert printed.count(line) == 2
+    # a reader that was held up gets more than two lines at once
+    assert set(printed.splitlines(keepends=True)[: printed.count(b"\n")]) == {line}
     assert int(emulator.command("readl 0x400053FC"), 16) & 0x10 == 0, "the high voltage"
 
 

@@ -144,6 +144,21 @@ def latencies(trace: Floats, sent: Floats, amplifier: VirtualAmplifier) -> Float
     """Return the time from each message to the first sample that depends on it (K,) [s].
 
     Messages before the first block or after the last are left out.
+
+    Parameters
+    ----------
+    trace : (B, 3) array of float
+        Position of each block [samples], number of contacts that had come when it was rendered, and
+        the time at which it is due on the host's monotonic clock [s].
+    sent : (M,) array of float
+        Times at which the messages were sent, on the same clock [s].
+    amplifier : VirtualAmplifier
+        Amplifier that played the blocks.
+
+    Returns
+    -------
+    (K,) array of float
+        Latencies of the other messages [s].
     """
     block, contacts, due = trace.T
     played = output_times(amplifier, block + LOOK_AHEAD, due)

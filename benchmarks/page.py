@@ -422,6 +422,13 @@ def stroke_once(url: str, file: str) -> None:
     """Arm the display and stroke with the page, and store the offset of its clock.
 
     The display is disarmed when the window is closed.
+
+    Parameters
+    ----------
+    url : str
+        URL of the page.
+    file : str
+        File for the offset of the page's clock from the host's, and its uncertainty [s].
     """
     asyncio.run(_stroke_once(url, file))
 

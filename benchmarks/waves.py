@@ -29,6 +29,8 @@ BLOCKS = 1000
 """Number of blocks that are timed."""
 SECONDS = 3.0
 """Duration of an effect [s]."""
+SAMPLE_RATE = 48_000.0
+"""Sample rate of the waveforms, the largest of a message [Hz]."""
 CONTACTORS = 24
 """Number of contactors of the display."""
 UNBOUNDED = 1 << 30
@@ -39,20 +41,9 @@ Filler = Callable[[Voice], None]
 """Function that fills a client's queue of samples."""
 
 
-def costliest(seconds: float = SECONDS) -> Curve:
-    """Return an effect with the largest numbers of points and of transients, which overlap.
-
-    Parameters
-    ----------
-    seconds : float
-        Duration [s].
-
-    Returns
-    -------
-    Curve
-        Effect.
-    """
-    time = np.linspace(0.0, seconds, m.MOST_POINTS)
+def costliest() -> Curve:
+    """Return an effect with the largest numbers of points and of transients, which overlap."""
+    time = np.linspace(0.0, SECONDS, m.MOST_POINTS)
     full = np.full(m.MOST_POINTS, 1.0)
     return Curve(
         1e-6,
@@ -63,48 +54,35 @@ def costliest(seconds: float = SECONDS) -> Curve:
     )
 
 
-def plain(seconds: float = SECONDS) -> Curve:
-    """Return an effect of two points.
-
-    Parameters
-    ----------
-    seconds : float
-        Duration [s].
-
-    Returns
-    -------
-    Curve
-        Effect.
-    """
+def plain() -> Curve:
+    """Return an effect of two points."""
     return Curve(
         1e-6,
-        np.array([[0.0, 1.0], [seconds, 1.0]]),
-        np.array([[0.0, 200.0], [seconds, 200.0]]),
+        np.array([[0.0, 1.0], [SECONDS, 1.0]]),
+        np.array([[0.0, 200.0], [SECONDS, 200.0]]),
         np.zeros((0, 3)),
         stream=False,
     )
 
 
-def fill(voice: Voice, sample_rate: float = 48_000.0, cuts: int = 1) -> None:
+def fill(voice: Voice, cuts: int = 1) -> None:
     """Keep a client's queue full, with a number of segments in each message.
 
     Parameters
     ----------
     voice : Voice
         Client.
-    sample_rate : float
-        Sample rate [Hz].
     cuts : int
         Number of segments.
     """
     samples = np.full(m.MOST_SAMPLES // cuts, 1e-6, np.float32)
     while voice.queue.waiting() < 0.05:
         for k in range(cuts):
-            if not voice.queue.append(samples, sample_rate, (k % 2,) if cuts > 1 else ()):
+            if not voice.queue.append(samples, SAMPLE_RATE, (k % 2,) if cuts > 1 else ()):
                 return
 
 
-def alternate(voice: Voice, sample_rate: float = 48_000.0) -> None:
+def alternate(voice: Voice) -> None:
     """Keep a second of a client's queue full, with as many segments as may wait.
 
     Each message has the other of `SETS`, so that it needs a segment of its own.
@@ -113,14 +91,12 @@ def alternate(voice: Voice, sample_rate: float = 48_000.0) -> None:
     ----------
     voice : Voice
         Client.
-    sample_rate : float
-        Sample rate [Hz].
     """
     queue, seconds = voice.queue, LONGEST / (MOST_SEGMENTS + CONTACTORS)
-    samples = np.full(int(seconds * sample_rate), 1e-6, np.float32)
+    samples = np.full(int(seconds * SAMPLE_RATE), 1e-6, np.float32)
     while queue.waiting() + seconds <= LONGEST:
         newest = int(queue.waiting((2,)) > queue.waiting((0,)))
-        if not queue.append(samples, sample_rate, SETS[1 - newest]):
+        if not queue.append(samples, SAMPLE_RATE, SETS[1 - newest]):
             return
 
 

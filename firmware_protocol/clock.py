@@ -207,6 +207,7 @@ class ClockEstimator:
         self._window: deque[Exchange] = deque(maxlen=WINDOW)
         self._leaps: list[Exchange] = []
         self._next_probe = -math.inf
+        self._errors: list[tuple[float, float]] | None = None
         self._begin(Exchange(0.0, 0, 0, 0.0))
 
     def _begin(self, first: Exchange) -> None:
@@ -285,9 +286,8 @@ class ClockEstimator:
 
     def _feed(self) -> None:
         """Feed the middle between the tightest bounds of the window into the regression."""
-        sent = [(e.t1, e.receipt_tick(self.tick_hz)) for e in self._window]
-        below = [(self._seconds(receipt), t1 - self._origin) for t1, receipt in sent]
-        above = [(self._seconds(e.t3), e.t4 - self._origin) for e in self._window]
+        self._errors = None
+        below, above = self._bounds()
         lead = (
             max(host - x - self._lead(x) for x, host in below)
             + min(host - x - self._lead(x) for x, host in above)
@@ -303,6 +303,16 @@ class ClockEstimator:
             self._covariance = (1 - gain) * (self._covariance + gain * dx * dy)
         slope = self._covariance / self._variance
         self._slope = min(max(slope, -DRIFT_LIMIT), DRIFT_LIMIT)
+
+    def _bounds(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+        """Return times of the amplifier before which, and after which, host times were [s].
+
+        Both are counted from the first exchange.
+        """
+        sent = [(e.t1, e.receipt_tick(self.tick_hz)) for e in self._window]
+        below = [(self._seconds(receipt), t1 - self._origin) for t1, receipt in sent]
+        above = [(self._seconds(e.t3), e.t4 - self._origin) for e in self._window]
+        return below, above
 
     def _lead(self, seconds: float) -> float:
         """Return host time minus nominal amplifier time [s], both since the first exchange."""
@@ -343,6 +353,58 @@ class ClockEstimator:
         """
         seconds = self._seconds(ticks)
         return self._origin + seconds + self._lead(seconds)
+
+    def uncertainty_at(self, ticks: int) -> float:
+        """Return half of an interval around `host_time_at` that holds the true host time.
+
+        The amplifier received each probe of the window after it was sent, and sent each answer
+        before that was received, however long either was on its way. So the clock is a straight
+        line between these bounds, as far as it keeps its rate for the seconds of the window; the
+        interval holds all such lines that drift no more than `DRIFT_LIMIT`.
+
+        Parameters
+        ----------
+        ticks : int
+            Amplifier time [ticks].
+
+        Returns
+        -------
+        float
+            Half of the interval; infinite before the first exchange [s].
+        """
+        if not self._window:
+            return math.inf
+        if self._errors is None:
+            self._errors = self._possible_errors()
+        since = self._seconds(ticks) - self._seconds(self._window[-1].t3)
+        return max((abs(error + slope * since) for error, slope in self._errors), default=math.inf)
+
+    def _possible_errors(self) -> list[tuple[float, float]]:
+        """Return the corners of the region of possible errors of the present estimate.
+
+        Each is an error at the newest answer [s], and what it grows by [s/s]. The region is clipped
+        by one bound after the other (Sutherland & Hodgman, 1974); a bound may be off by a tick.
+        """
+        now, tick = self._seconds(self._window[-1].t3), 1 / self.tick_hz
+        below, above = self._bounds()
+        bounds = [(x, host, 1) for x, host in below] + [(x, host, -1) for x, host in above]
+        slopes = -DRIFT_LIMIT - self._slope, DRIFT_LIMIT - self._slope
+        corners = [(error, slope) for slope in slopes for error in (-SILENCE, SILENCE)]
+        corners[2:] = reversed(corners[2:])  # around the region
+        for x, host, side in bounds:
+            bound = host - x - self._lead(x)
+            inside = [side * (e + s * (x - now) - bound) + tick for e, s in corners]
+            clipped = []
+            for k, ((error, slope), distance) in enumerate(zip(corners, inside, strict=True)):
+                before = inside[k - 1]
+                if (before < 0) != (distance < 0):
+                    part = before / (before - distance)
+                    (e, s) = corners[k - 1]
+                    clipped.append((e + part * (error - e), s + part * (slope - s)))
+                if distance >= 0:
+                    clipped.append((error, slope))
+            corners = clipped
+        return corners
 
     @property
     def next_probe(self) -> float:

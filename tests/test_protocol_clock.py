@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from benchmarks import clock as bench
 from firmware_protocol import clock as protocol_clock
-from firmware_protocol.clock import ClockEstimator, Exchange
+from firmware_protocol.clock import DRIFT_LIMIT, ClockEstimator, Exchange
 
 TICK_HZ = 1e9
 """A tick of 1 ns, so that the closed forms are not lost in rounding."""
@@ -98,6 +99,66 @@ def test_the_round_trip_is_the_shortest_of_the_last_eight_without_the_amplifiers
     assert estimator.round_trip == pytest.approx(50e-6 + BACK, abs=2e-9)
     feed(estimator, steady(1, 2.0))
     assert estimator.round_trip == pytest.approx(OUT + BACK, abs=2e-9)
+
+
+def test_the_uncertainty_of_a_constant_delay_is_half_of_the_way_there_and_back() -> None:
+    estimator = ClockEstimator(TICK_HZ)
+    assert estimator.uncertainty_at(ticks(0.0)) == math.inf
+    feed(estimator, steady(12, -3.0, out=1e-3, back=1e-3))
+    assert estimator.uncertainty_at(ticks(0.0)) > 1e-3
+    feed(estimator, steady(20))
+    assert estimator.uncertainty_at(ticks(4.0)) == pytest.approx(OUT, abs=5e-9)
+
+
+@pytest.mark.parametrize("drift_ppm", [0.0, 30.0, -100.0])
+@pytest.mark.parametrize("mean", [100e-6, 3e-3])
+def test_the_true_time_is_within_the_uncertainty(mean: float, drift_ppm: float) -> None:
+    """Each way takes a time of its own, by an exponential distribution, much longer back."""
+    rng = np.random.default_rng(4)
+    inside = []
+    for _ in range(200):
+        estimator, now = ClockEstimator(TICK_HZ), 1.0
+        for _ in range(int(rng.integers(1, 40))):
+            out, back = 20e-6 + rng.exponential((mean, 3 * mean))
+            e = exchange(now, drift_ppm=drift_ppm, out=float(out), back=float(back))
+            estimator.add(e.t1, e.t2, e.t3, e.t4)
+            now = e.t4 + 0.25
+        when = e.t4 - float(rng.uniform(0, 0.5))
+        shown = ticks(when, drift_ppm)
+        error = estimator.host_time_at(shown) - when
+        inside.append(abs(error) <= estimator.uncertainty_at(shown))
+    assert all(inside)
+
+
+@pytest.mark.parametrize("mean", [100e-6, 3e-3])
+def test_the_uncertainty_is_that_of_all_lines_between_the_bounds_by_linear_programming(
+    mean: float,
+) -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        estimator, exchanges, now = ClockEstimator(TICK_HZ), [], 1.0
+        for _ in range(int(rng.integers(1, 8))):
+            out, back = 20e-6 + rng.exponential((mean, 3 * mean))
+            e = exchange(now, out=float(out), back=float(back))
+            estimator.add(e.t1, e.t2, e.t3, e.t4)
+            exchanges.append(e)
+            now = e.t4 + 0.25
+        at, tick = ticks(now + 0.3), 1 / TICK_HZ
+        # error of the estimate at the tick [µs], and what it grows by [µs/s]
+        estimate = estimator.host_time_at(at)
+        seconds = np.array([[(e.t2 - at) * tick, (e.t3 - at) * tick] for e in exchanges])
+        bounds = np.array([[e.t1, e.t4] for e in exchanges]) - estimate - seconds
+        signs = np.array([-1.0, 1.0])
+        rows = np.stack([np.broadcast_to(signs, seconds.shape), signs * seconds], axis=-1)
+        limits = 1e6 * (signs * bounds + tick)
+        ranges = [(None, None), (-1e6 * DRIFT_LIMIT, 1e6 * DRIFT_LIMIT)]
+        errors = []
+        for sign in (1, -1):
+            most = linprog([sign, 0.0], rows.reshape(-1, 2), limits.ravel(), bounds=ranges)
+            assert most.success
+            assert most.x is not None
+            errors.append(1e-6 * abs(most.x[0]))
+        assert estimator.uncertainty_at(at) == pytest.approx(max(errors), abs=2e-9)
 
 
 def test_a_spike_does_not_move_the_estimate() -> None:

@@ -48,6 +48,7 @@ Drivers
     e-stop came, `Bus` calls its `_estop` once more.
 """
 
+import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -498,6 +499,21 @@ class Bus(ABC):
         """
         at, when = self._anchor
         return when + (position - at) / self.wiring.sample_rate
+
+    def due_uncertainty(self, position: int) -> float:
+        """Return half of an interval around `due` that holds the true time.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Half of the interval; NaN if it is not known [s].
+        """
+        return math.nan
 
     def write(self, block: DriveBlock) -> None:
         """Play a block; a paced bus waits until its samples are due, less `ahead`.

@@ -287,6 +287,23 @@ class LinkBus(Bus):
         assert self._session.stream is not None
         return self._session.stream.due(position)
 
+    def due_uncertainty(self, position: int) -> float:
+        """Return half of an interval around `due` that holds the true time.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Half of the interval; NaN while the amplifier cannot be reached [s].
+        """
+        assert self._session.stream is not None
+        with self._changed:  # the thread adds to the clock meanwhile
+            return self._session.stream.due_uncertainty(position)
+
     # The thread
 
     def _run(self) -> None:

@@ -462,8 +462,29 @@ class Peer:
             Host time by the estimate of the amplifier's clock [s].
         """
         assert self.clock is not None
+        return self.clock.host_time_at(self._tick_of(position))
+
+    def due_uncertainty(self, position: int) -> float:
+        """Return half of an interval around `due` that holds the true time.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Half of the interval; infinite before the first exchange of times [s].
+        """
+        assert self.clock is not None
+        return self.clock.uncertainty_at(self._tick_of(position))
+
+    def _tick_of(self, position: int) -> int:
+        """Return the time of the amplifier at which a position is put out [ticks]."""
+        assert self.clock is not None
         ticks = round((position - self._start_position) * self.clock.tick_hz / self._rate)
-        return self.clock.host_time_at(self.begun + ticks)
+        return self.begun + ticks
 
     def unplayed(self, first: int, written: int, held: int, *, running: bool) -> int:
         """Return how many positions since playing began are not known to have been put out.

@@ -22,7 +22,7 @@ from firmware_protocol.packet import TURN, Packet
 from tactile.arrays import Complex, Floats
 from tactile.bus.base import BusCounters
 from tactile.bus.budget import Plan, spectrum_group
-from tactile.bus.link.follower import HALF, Follower, Piece
+from tactile.bus.link.follower import HALF, SLACK, Follower, Piece
 from tactile.bus.link.peer import Peer
 
 LEAD, LEAST_LEAD, MOST_LEAD = 8e-3, 6e-3, 24e-3
@@ -195,6 +195,24 @@ class LinkStream:
         if self._playing and not self._peers[0].reset_evidence:
             return self._peers[0].due(position)
         return self._anchor[1] + (position - self._anchor[0]) / self._plan.sample_rate
+
+    def due_uncertainty(self, position: int) -> float:
+        """Return half of an interval around `due` that holds the true time.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Half of the interval; NaN while the amplifiers cannot be reached [s].
+        """
+        if not self._playing or self._peers[0].reset_evidence:
+            return math.nan
+        apart = SLACK / self._plan.sample_rate if len(self._peers) > 1 else 0.0
+        return max(peer.due_uncertainty(position) for peer in self._peers) + apart
 
     def position_at(self, time: float) -> int:
         """Return the first position that is due at a host time or later.

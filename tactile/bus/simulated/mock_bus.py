@@ -129,6 +129,21 @@ class MockBus(Bus):
             if self.state == "running":  # no e-stop has come since the caller saw it running
                 self.boards[0].set_guards(settings)
 
+    def due_uncertainty(self, position: int) -> float:
+        """Return half of an interval around `due` that holds the true time.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample.
+
+        Returns
+        -------
+        float
+            Half of the interval; none, as both are one [s].
+        """
+        return 0.0
+
     @property
     def output(self) -> Floats:
         """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""

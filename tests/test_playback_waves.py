@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tactile.arrays import Floats
+from tactile.playback.sinc_interpolation import REMEMBERED, SincInterpolation
 from tactile.playback.waveforms import WaveformQueue
 from tactile.playback.waves import Curve, EffectPlayer
 
@@ -185,3 +186,25 @@ def test_a_stream_goes_on_without_a_step_in_amplitude_or_phase() -> None:
     effect.begin(curve([(0, 0.2), (0.05, 0.2)], [(0, 300), (0.05, 300)], stream=True))
     both = np.concatenate([first, played(effect, 0.03)])
     assert np.abs(np.diff(both)).max() < 2e-6 * 2 * np.pi * 300 / RATE
+
+
+@pytest.mark.parametrize("rate", [1000.0, 11025.0, 12345.0, 48000.0])
+def test_remembered_weights_are_those_of_the_same_times(rate: float) -> None:
+    """The weights are exact to the nearest phase, and no more than `REMEMBERED` are kept."""
+    interpolation = SincInterpolation(rate, RATE, zeros=8, shape=7.0)
+    step, at, known = rate / RATE, 0.0, 0
+    for _ in range(200):
+        known += interpolation.remembers(at, step, BLOCK)
+        dense = np.zeros((2, BLOCK, 400))
+        times = np.asarray(at + step * np.arange(BLOCK), np.float64)
+        for out, (first, weights) in zip(
+            dense,
+            (interpolation.equidistant_weights(at, step, BLOCK), interpolation.weights(times)),
+            strict=True,
+        ):
+            begin = first - int(at) + 100
+            out[:, begin : begin + weights.shape[1]] = weights
+        np.testing.assert_allclose(dense[0], dense[1], atol=1e-5)
+        at += step * BLOCK
+    assert known == {1000.0: 199, 11025.0: 180, 12345.0: 0, 48000.0: 199}[rate]
+    assert len(interpolation._remembered) == min(200 - known, REMEMBERED)

@@ -7,6 +7,13 @@ import numpy as np
 
 from tactile.arrays import Floats, Singles
 
+PHASES = 1 << 20
+"""Number of phases between two samples at which equidistant reading may begin; the error is that of
+a time shift of 5e-7 samples, −110 dB at the highest frequency."""
+REMEMBERED = 64
+"""Number of phases whose weights are remembered: at 8 kHz, reading blocks of 16 samples repeats
+after 1 block from 1, 2, 4 or 48 kHz, after 5 from 44.1 kHz and after 20 from 11.025 kHz."""
+
 
 @functools.cache
 def _table(zeros: int, shape: float) -> tuple[Floats, Floats]:
@@ -45,6 +52,7 @@ class SincInterpolation:
         self._table = _table(zeros, shape)
         self.reach = math.ceil(zeros / self._cut)
         self._near = np.arange(1 - self.reach, self.reach + 1)
+        self._remembered: dict[tuple[int, float, int], tuple[int, Singles]] = {}
 
     def weights(self, time: Floats) -> tuple[int, Singles]:
         """Return the weights of the samples around some times.
@@ -68,3 +76,53 @@ class SincInterpolation:
         values = self._cut * np.interp(apart, *self._table)
         weights[np.arange(len(time))[:, None], samples - first] = values
         return first, weights
+
+    def remembers(self, at: float, step: float, count: int) -> bool:
+        """Tell whether the weights around equidistant times are remembered.
+
+        Parameters
+        ----------
+        at : float
+            First time [samples].
+        step : float
+            Distance of the times [samples].
+        count : int
+            Number of times, S.
+
+        Returns
+        -------
+        bool
+            Whether `equidistant_weights` need not compute them.
+        """
+        return (round(at * PHASES) % PHASES, step, count) in self._remembered
+
+    def equidistant_weights(self, at: float, step: float, count: int) -> tuple[int, Singles]:
+        """Return the weights of the samples around equidistant times.
+
+        They are the same for each block that begins at the same phase, which is remembered.
+
+        Parameters
+        ----------
+        at : float
+            First time [samples].
+        step : float
+            Distance of the times [samples].
+        count : int
+            Number of times, S.
+
+        Returns
+        -------
+        first : int
+            Number of the first sample that has a weight.
+        weights : (S, R) array of float32
+            Weights of this sample and those after it, for each time.
+        """
+        whole, phase = divmod(round(at * PHASES), PHASES)
+        key = phase, step, count
+        if key not in self._remembered:
+            if len(self._remembered) >= REMEMBERED:
+                del self._remembered[next(iter(self._remembered))]
+            times = np.asarray(phase / PHASES + step * np.arange(count), np.float64)
+            self._remembered[key] = self.weights(times)
+        first, weights = self._remembered[key]
+        return whole + first, weights

@@ -14,11 +14,11 @@ from tactile.clock import ModelClock
 from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.estop.latch import Latch, LatchWriter
-from tactile.playback.commands import News, OrderAnswer, PlaybackSetup
+from tactile.playback.commands import News, PlaybackSetup
 from tactile.playback.estimates import Estimates, OwnEstimates
 from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.loop import PlaybackLoop
-from tactile.playback.process import Program, follow
+from tactile.playback.process import Message, Program, follow
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.rendering.layer import RealizedLayer
 from tactile.sim import SimulatedDisplay
@@ -59,7 +59,7 @@ class Stage:
     bus: SimulatedDisplay
     memory: PlaybackMemory
     latch: Latch
-    said: list[OrderAnswer | News]
+    said: list[Message]
     told: list[FollowedFinger | None] = field(default_factory=list)
     """Finger of each report that the server could have read."""
     origin: float = 0.0
@@ -103,7 +103,7 @@ def staged(
     if texture is not None:
         player.keep(1, RealizedLayer(display, load_texture(texture)))
         player.voice(ME).state.layers = ((1, 1.0),)
-    said: list[OrderAnswer | News] = []
+    said: list[Message] = []
     program = Program(player, Latch(latch.handle, LatchWriter.PLAYBACK), said.append)
     player.arm()
     yield Stage(program, player, bus, memory, latch, said)

@@ -22,7 +22,7 @@ from tactile.playback.block_rendering import SamplePlayback
 from tactile.playback.loop import PlaybackLoop
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.shear_ring import LENGTH
-from tactile.playback.voice import Voice
+from tactile.playback.voice import Begins, Voice
 from tactile.playback.waves import Curve
 from tactile.rendering.contact import Trajectory
 from tactile.rendering.layer import RealizedLayer
@@ -251,9 +251,9 @@ def test_a_stroke_is_the_same_while_60_others_play_all_they_may(
     spent = [0]
     take = Voice.take
 
-    def counted(voice: Voice, count: int) -> Singles | None:
+    def counted(voice: Voice, count: int, begins: Begins = ()) -> Singles | None:
         spent[-1] += voice.work(count)
-        return take(voice, count)
+        return take(voice, count, begins)
 
     monkeypatch.setattr(Voice, "take", counted)
     step = stage.player.step

@@ -21,9 +21,9 @@ from tactile.clock import ModelClock
 from tactile.display.display import Display
 from tactile.estop.latch import Latch, LatchWriter
 from tactile.playback import commands
-from tactile.playback.commands import News, Order, OrderAnswer
+from tactile.playback.commands import Order, OrderAnswer
 from tactile.playback.loop import PlaybackLoop
-from tactile.playback.process import Program
+from tactile.playback.process import Message, Program
 from tactile.playback.shared_memory import PlaybackMemory
 from tactile.playback.waves import Curve
 from tactile.processes import ChildProcess, send
@@ -49,7 +49,7 @@ class Stage:
     bus: MockBus
     memory: PlaybackMemory
     latch: Latch
-    said: list[OrderAnswer | News]
+    said: list[Message]
     _number: int = 0
 
     def order(self, order: Order) -> OrderAnswer:
@@ -93,7 +93,7 @@ def stage(display: Display) -> Iterator[Stage]:
     bus = MockBus(Wiring.of(display, RATE), keep="all", clock=clock)
     shared = PlaybackMemory(memory.handle, len(display.contactors))
     player = PlaybackLoop(display, bus, shared, worn=True, clock=clock)
-    said: list[OrderAnswer | News] = []
+    said: list[Message] = []
     program = Program(player, Latch(latch.handle, LatchWriter.PLAYBACK), said.append)
     yield Stage(program, player, bus, memory, latch, said)
     bus.close()
@@ -276,6 +276,24 @@ def test_a_watch_that_fails_ends_playback_and_with_it_what_plays(
     assert playing.program._ended
 
 
+def turn_while(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, orders: list[tuple[int, Order]]
+) -> list[int]:
+    """Do a turn in which orders come while playback waits; return what was answered by then."""
+    sleep = stage.player.clock.sleep
+
+    def arrive(seconds: float) -> None:
+        sleep(seconds)
+        if seconds > 0:
+            for number, order in orders:
+                stage.program.take(number, order)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stage.player.clock, "sleep", arrive)
+        stage.program.turn()
+    return [one.number for one in stage.said if isinstance(one, OrderAnswer)]
+
+
 def test_frames_that_come_while_playback_waits_are_in_the_very_next_block(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -283,24 +301,31 @@ def test_frames_that_come_while_playback_waits_are_in_the_very_next_block(
     stage.play(WATCH)
     assert not stage.order(ARM).failure
     stage.play(0.1)  # until what plays has faded in
-    sleep = stage.player.clock.sleep
     frames = np.full((1, len(stage.player.display.contactors)), 1e-6, np.float32)
-
-    def arrive(seconds: float) -> None:
-        sleep(seconds)
-        if seconds > 0:
-            stage.program.take(101, commands.AddFrames(ME, frames, 1000.0, latest=True))
-            stage.program.take(102, commands.EndWaves(ME))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(stage.player.clock, "sleep", arrive)
-        stage.program.turn()
-    numbers = [one.number for one in stage.said if isinstance(one, OrderAnswer)]
-    assert numbers[-1] == 101
+    newest = commands.AddFrames(ME, frames, 1000.0, latest=True)
+    assert turn_while(stage, monkeypatch, [(101, newest), (102, commands.EndWaves(ME))])[-1] == 101
     stage.program.turn()
     assert stage.player.rendering.shear == pytest.approx(1e-6, rel=1e-3)  # a block later
     numbers = [one.number for one in stage.said if isinstance(one, OrderAnswer)]
     assert numbers[-1] == 102
+
+
+def test_frames_that_follow_those_with_a_time_are_not_carried_out_before_them(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only so do they continue the stream that waits for its time."""
+    stage.play(WATCH)
+    assert not stage.order(ARM).failure
+    stage.play(0.1)
+    frames = np.full((40, len(stage.player.display.contactors)), 1e-6, np.float32)
+    part = commands.AddFrames(ME, frames, 1000.0, latest=False)
+    due = stage.bus.due(stage.player.position) + 0.2
+    timed = commands.PlayAt(1, ME, due, True, part)
+    assert turn_while(stage, monkeypatch, [(101, timed), (102, part)])[-2:] == [101, 102]
+    assert not stage.play(0.15).any()
+    assert stage.play(0.6).any()
+    (reports,) = [one for one in stage.said if isinstance(one, list)]
+    assert [(report.number, report.reason) for report in reports] == [(1, "")]
 
 
 @pytest.mark.parametrize("armed", [False, True])
@@ -319,3 +344,28 @@ def test_no_more_messages_of_frames_than_of_other_orders_are_taken_in_a_turn(
         stage.program.turn()
         turns.append(len([one for one in stage.said[before:] if isinstance(one, OrderAnswer)]))
     assert turns == [8, 16, 20]
+
+
+@pytest.mark.parametrize("end", [commands.EndWaves(ME), commands.ForgetClient(ME)])
+def test_frames_that_came_before_what_ends_them_are_not_carried_out_after_it(
+    stage: Stage, end: Order
+) -> None:
+    """Frames wait in a queue of their own, in which those of others keep their order."""
+    stage.play(WATCH)
+    assert not stage.order(ARM).failure
+    stage.play(0.1)
+    frames = np.full((40, len(stage.player.display.contactors)), 1e-6, np.float32)
+    mine = commands.AddFrames(ME, frames, 1000.0, latest=False)
+    yours = commands.AddFrames(2, frames[:1], 1000.0, latest=True)
+    due = stage.bus.due(stage.player.position) + 0.2
+    stage.program.take(101, commands.PlayAt(1, ME, due, False, mine))
+    stage.program.take(102, yours)
+    stage.program.take(103, yours)
+    stage.program.take(104, end)
+    stage.program.turn()
+    numbers = [one.number for one in stage.said if isinstance(one, OrderAnswer)]
+    assert numbers[-4:] == [101, 104, 102, 103]
+    stage.play(0.6)
+    (reports,) = [one for one in stage.said if isinstance(one, list)]
+    (report,) = reports
+    assert report.reason in ("it was stopped", "its program has left")

@@ -248,7 +248,7 @@ def test_memory_is_bounded_by_what_waits() -> None:
     for _ in range(2000):
         queue.append(np.zeros(4000, np.float32), 48_000.0, ())
         queue.take(BLOCK)
-        (grid,) = queue._grids.values()
+        (grid,) = queue._grids
         (segment,) = grid.segments
         assert len(segment._data) <= 2 * (48_000 + 4000 + grid._reach)
 

@@ -76,6 +76,11 @@ class SamplePlayback:
         """
         self._renderer.play([(t, gain) for t, gain in layers if isinstance(t, RealizedLayer)])
 
+    @property
+    def fading(self) -> bool:
+        """Whether the shear has not risen yet after `fade_in`."""
+        return self._renderer.fading
+
     def fade_in(self) -> None:
         """Let the shear rise from 0."""
         self._renderer.fade_in()
@@ -209,6 +214,11 @@ class FramePlayback:
             Textures, each with its gain; textures for samples are ignored.
         """
         self._playing = [(t, gain) for t, gain in layers if isinstance(t, SpectrumRenderer)]
+
+    @property
+    def fading(self) -> bool:
+        """Whether the frame of 0 V of `fade_in` is still to come."""
+        return self._rise == 0
 
     def fade_in(self) -> None:
         """Begin with a frame of 0 V."""

@@ -211,6 +211,33 @@ class BeginEffect:
 
 
 @dataclass(frozen=True)
+class PlayAt:
+    """Order to play what another order of the same client says, at a time.
+
+    The answer is that of the other order. What became of it, an `OnsetReport` says.
+
+    Attributes
+    ----------
+    number : int
+        Number of the stimulus, which the report repeats.
+    client : int
+        Number of the client.
+    time : float
+        Time at which its first sample is to be put out, in the host's clock [s].
+    drop_late : bool
+        Whether it is dropped if that is not possible any more; otherwise it is played at once.
+    order : AppendSamples or BeginEffect or AddFrames
+        What is to be played.
+    """
+
+    number: int
+    client: int
+    time: float
+    drop_late: bool
+    order: AppendSamples | BeginEffect | AddFrames
+
+
+@dataclass(frozen=True)
 class EndWaves:
     """Order to end the waveforms and effects of a client.
 
@@ -274,8 +301,33 @@ class News:
     contactors: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True)
+class OnsetReport:
+    """News of what became of a `PlayAt`.
+
+    Attributes
+    ----------
+    number : int
+        Number of the stimulus.
+    client : int
+        Number of the client.
+    time : float
+        Time at which its first sample was put out, in the host's clock; NaN if it was not [s].
+    uncertainty : float
+        Half of the interval around that time that holds the true one; NaN if it is not known [s].
+    reason : str
+        Reason why it was not played, or not at its time; empty if it was.
+    """
+
+    number: int
+    client: int
+    time: float
+    uncertainty: float
+    reason: str = ""
+
+
 Order = (
-    KeepTexture | DropTexture | SetState | AppendSamples | AddFrames | BeginEffect | EndWaves
-    | ForgetClient | ArmDisplay | DisarmDisplay | ClearEstop
+    KeepTexture | DropTexture | SetState | AppendSamples | AddFrames | BeginEffect | PlayAt
+    | EndWaves | ForgetClient | ArmDisplay | DisarmDisplay | ClearEstop
 )  # fmt: skip
 """Any order to a playback process. What needs no preparation is the client's own request."""

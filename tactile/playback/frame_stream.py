@@ -20,7 +20,7 @@ import numpy as np
 from tactile.arrays import Singles
 from tactile.playback.ending import Ending
 from tactile.playback.sinc_interpolation import SincInterpolation
-from tactile.playback.waveforms import GRID_WORK, LONGEST, PRODUCTS, WaveformSegment
+from tactile.playback.waveforms import GRID_WORK, LONGEST, PRODUCTS, WEIGHTS_WORK, WaveformSegment
 from tactile.rendering.renderer import Ramp
 
 HOLD, FADE = 30e-3, 25e-3
@@ -175,19 +175,23 @@ class QueuedFrames(FrameStream):
         Sample rate of the drive [Hz].
     contactors : int
         Number of contactors, N.
+    exactly : bool
+        Whether the first frame is at the first sample that is read, and waits for no other.
     """
 
-    _overhead = GRID_WORK
+    _overhead = GRID_WORK + WEIGHTS_WORK
 
-    def __init__(self, frame_rate: float, drive_rate: float, contactors: int) -> None:
+    def __init__(
+        self, frame_rate: float, drive_rate: float, contactors: int, *, exactly: bool = False
+    ) -> None:
         super().__init__(frame_rate, drive_rate, contactors)
         self._interpolation = SincInterpolation(frame_rate, drive_rate, zeros=ZEROS, shape=SHAPE)
         self._frames = WaveformSegment(np.arange(contactors), 0, contactors)
         self._last = np.zeros((1, contactors), np.float32)
         self._most = min(LONGEST * frame_rate, MOST_VALUES / contactors)
         self._reach = self._interpolation.reach
-        self._at = -self._reach - MARGIN * frame_rate
-        self._begun = False
+        self._begun = exactly
+        self._at = 0.0 if exactly else -self._reach - MARGIN * frame_rate
         self._stretch = self._drift = 0.0
         self._least, self._watched = math.inf, 0
 
@@ -293,7 +297,9 @@ class FramePlayer:
         self._key = 0.0, False
         self._ending = Ending(drive_rate, contactors)
 
-    def add(self, frames: Singles, frame_rate: float, *, latest: bool) -> tuple[int, bool]:
+    def add(
+        self, frames: Singles, frame_rate: float, *, latest: bool, exactly: bool = False
+    ) -> tuple[int, bool]:
         """Take frames. Those of another rate or kind end the stream that plays.
 
         Parameters
@@ -304,6 +310,9 @@ class FramePlayer:
             Rate of the frames [Hz].
         latest : bool
             Whether only the newest frame counts.
+        exactly : bool
+            Whether the first of them is played at the next sample of the drive, in a stream of its
+            own.
 
         Returns
         -------
@@ -312,11 +321,15 @@ class FramePlayer:
         late : bool
             Whether the frame before them had to be held.
         """
-        if self._stream is not None and self._key != (frame_rate, latest):
+        if self._stream is not None and (exactly or self._key != (frame_rate, latest)):
             self.end()
         if self._stream is None:
-            kind = LatestFrames if latest else QueuedFrames
-            self._stream = kind(frame_rate, self._drive_rate, self._contactors)
+            if latest:
+                self._stream = LatestFrames(frame_rate, self._drive_rate, self._contactors)
+            else:
+                self._stream = QueuedFrames(
+                    frame_rate, self._drive_rate, self._contactors, exactly=exactly
+                )
             self._key = frame_rate, latest
         late = self._stream.is_late
         return len(frames) - self._stream.add(frames), late

@@ -17,8 +17,10 @@ from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback.block_rendering import FramePlayback, SamplePlayback
+from tactile.playback.commands import OnsetReport
 from tactile.playback.finger_following import FingerFollowing
 from tactile.playback.mixer import BlockInput, Mixer, MixerOrder
+from tactile.playback.onset_reports import OnsetReports
 from tactile.playback.outcome import share_put_out
 from tactile.playback.session_ring import DUE_PLACES, SessionRing
 from tactile.playback.shared_memory import (
@@ -99,6 +101,8 @@ class PlaybackLoop(Mixer):
         Report to the server.
     following : FingerFollowing or None
         What follows the finger.
+    onset_reports : OnsetReports
+        Reports on stimuli that were to begin at a time.
     """
 
     def __init__(
@@ -119,6 +123,7 @@ class PlaybackLoop(Mixer):
         super().__init__(display, rate, bus.frames, gain=gain, worn=worn, inverse=inverse)
         self.bus, self.memory, self.clock, self.following = bus, memory, clock, following
         self._session, self._played = session, played
+        self.onset_reports = OnsetReports(bus)
         self.report = PlaybackReport(sample_rate=rate)
         self.position = self._skipped = 0
         self._unplayed_before = 0
@@ -222,6 +227,25 @@ class PlaybackLoop(Mixer):
             if self._session is not None:
                 self._session.add_block(block, drive)
         self._report_block(block)
+
+    def report_onsets(self) -> list[OnsetReport]:
+        """Return what has become known of stimuli that were to begin at a time.
+
+        Returns
+        -------
+        list of OnsetReport
+            Reports since the last call.
+        """
+        now, running = self.clock.now(), self.running
+        if not running:
+            self.drop_scheduled()
+        if self.onsets or self.onset_reports.waiting:
+            unplayed = self._unplayed
+            for onset in self.onsets:
+                self.onset_reports.add(onset, unplayed)
+            self.onsets.clear()
+            self.onset_reports.look(now, unplayed, running=running)
+        return self.onset_reports.take()
 
     def _follow(self, drive: DriveBlock) -> None:
         """Let the filters follow what has been measured by now, after a block was written."""

@@ -9,15 +9,19 @@ The content of a block follows the mixing rule of `tactile.messages`: the textur
 which the finger belongs, and the waves of all clients.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from tactile.arrays import Singles
 from tactile.bus.base import DriveBlock, DriveFrame, FrameCapability
 from tactile.display.display import Display
+from tactile.errors import BusStateError
 from tactile.playback import commands
 from tactile.playback.block_rendering import BLOCK, FramePlayback, SamplePlayback
+from tactile.playback.schedule import MOST_SCHEDULED, MOST_VALUES, Begin, Schedule, StimulusOutcome
 from tactile.playback.voice import ClientState, Voice
 from tactile.playback.waves import TURN, affordable
 from tactile.rendering.equalizer import EqualizerLike
@@ -30,9 +34,19 @@ from tactile.tracking.tracker import ContactTracker
 IN_AIR = 10 ** (-34 / 20)
 """Gain of waves while nothing touches the display: an unloaded bimorph rings up by 34 dB
 (docs/guide/physics.md)."""
+BEGINS_WORK, BEGINS_WORK_IN_BLOCK = 60_000, 6000
+"""Largest work of beginning stimuli in one block, which is 64 at the same time, and how much of it
+is regained in each block; in units of `tactile.playback.waves`."""
+NO_TIME = "the block in which it began had no time for it"
+"""Reason of a stimulus that was silent at first."""
+FADING = "playback faded in then, as it does at its beginning and after a gap"
+"""Reason of a stimulus that was weaker at first."""
+NOTHING: Mapping[int, Sequence[Begin]] = {}
+"""Value of what begins in a block in which nothing does."""
 MixerOrder = (
     commands.KeepTexture | commands.DropTexture | commands.SetState | commands.AppendSamples
-    | commands.AddFrames | commands.BeginEffect | commands.EndWaves | commands.ForgetClient
+    | commands.AddFrames | commands.BeginEffect | commands.PlayAt | commands.EndWaves
+    | commands.ForgetClient
 )  # fmt: skip
 """Order that changes what is rendered."""
 
@@ -91,6 +105,10 @@ class Mixer:
         Textures that are ready, by number.
     voices : dict of int to Voice
         Voice of each client.
+    schedule : Schedule
+        Stimuli that wait for their time.
+    onsets : list of StimulusOutcome
+        What became of stimuli whose time has come; whoever reports them takes them out.
     rendering : SamplePlayback or FramePlayback
         Rendering for the kind of link.
     tracker : ContactTracker
@@ -120,6 +138,8 @@ class Mixer:
         self.display, self.gain, self.worn = display, gain, worn
         self.textures: dict[int, RealizedLayer | SpectrumRenderer] = {}
         self.voices: dict[int, Voice] = {}
+        self.schedule = Schedule()
+        self.onsets: list[StimulusOutcome] = []
         self.rendering: SamplePlayback | FramePlayback = (
             SamplePlayback(display, sample_rate, inverse)
             if frames is None
@@ -129,6 +149,7 @@ class Mixer:
         self.tracker = ContactTracker()
         self.place, self.force = np.zeros((1, 2)), np.zeros(1)
         self.dropped_waves = self.dropped_frames = self.frame_gaps = self._client = 0
+        self._begins_work = BEGINS_WORK
         self._rate = sample_rate
         step = 1 / (display.limits.fade * sample_rate)
         self._air = Ramp(step, 1.0 if worn else IN_AIR)
@@ -221,9 +242,13 @@ class Mixer:
                 return self._append(order)
             case commands.AddFrames():
                 self._add_frames(order)
+            case commands.PlayAt():
+                return self._schedule_order(order)
             case commands.EndWaves():
                 self.voice(order.client).end_waves()
+                self._miss(self.schedule.drop(order.client), "it was stopped")
             case commands.ForgetClient():
+                self._miss(self.schedule.drop(order.client), "its program has left")
                 self.forget(order.client)
         return ()
 
@@ -235,18 +260,107 @@ class Mixer:
         taken = waves.append(order.samples, order.sample_rate, order.contactors, order.longest)
         return float(taken), waves.waiting(order.contactors)
 
-    def _add_frames(self, order: commands.AddFrames) -> None:
+    def _add_frames(self, order: commands.AddFrames, *, exactly: bool = False) -> None:
         """Play tactile frames, unless the client has stopped what it plays."""
         voice, late = self.voice(order.client), False
         dropped = len(order.frames)
-        if voice.state.sounds:
-            dropped, late = voice.frames.add(order.frames, order.frame_rate, latest=order.latest)
+        taken = None if exactly else self.schedule.extend(order)
+        if taken is not None:
+            dropped -= taken
+        elif voice.state.sounds:
+            dropped, late = voice.frames.add(
+                order.frames, order.frame_rate, latest=order.latest, exactly=exactly
+            )
         self.dropped_frames += dropped
         self.frame_gaps += late
+
+    def _schedule_order(self, scheduled: commands.PlayAt) -> tuple[float, ...]:
+        """Let a stimulus wait for its time; return the number of its samples or frames."""
+        order, taken = scheduled.order, self.schedule.add(scheduled)
+        if taken is None:
+            taken = 0
+            reason = (
+                f"{MOST_SCHEDULED} stimuli of this program wait for their time, or {MOST_VALUES} "
+                "values of them; send them later"
+            )
+            if not isinstance(order, commands.AddFrames):
+                raise BusStateError(reason)
+            self._miss([scheduled], reason)  # nobody waits for the answer to frames
+        if isinstance(order, commands.AddFrames):
+            self.dropped_frames += len(order.frames) - taken
+        if isinstance(order, commands.AppendSamples):
+            return float(taken), taken / order.sample_rate
+        return ()
+
+    def _miss(self, dropped: list[commands.PlayAt], reason: str) -> None:
+        """Report stimuli that are not played."""
+        self.onsets += [
+            StimulusOutcome(order.number, order.client, None, reason) for order in dropped
+        ]
+
+    def drop_scheduled(self) -> None:
+        """Drop all stimuli that wait for their time, because nothing plays."""
+        self._miss(self.schedule.drop(), "the display was not armed")
+
+    def _begin(self, begin: Begin, start: int, reason: str) -> None:
+        """Begin a stimulus at the next sample of its voice, in a block that starts at a position.
+
+        The reason says what is wrong with that sample, if anything.
+        """
+        scheduled = begin.order
+        if begin.late:
+            reason = f"late by {1e3 * begin.late:.6g} ms"
+        busy = self._busy(scheduled.order)
+        if busy:
+            reason = f"its contactors were free {1e3 * busy:.6g} ms later"
+        if reason and scheduled.drop_late:
+            self._miss([scheduled], reason)
+            return
+        wait = 0.0
+        match scheduled.order:
+            case commands.AppendSamples() as order:
+                wait, missing = self._append_exactly(order)
+                if missing:
+                    reason = f"{missing} samples had no room"
+                if missing == len(order.samples):
+                    self._miss([scheduled], reason)
+                    return
+            case commands.BeginEffect() as order:
+                self.voice(order.client).effect.begin(order.curve)
+            case commands.AddFrames() as order:
+                self._add_frames(order, exactly=True)
+                if not self.voice(order.client).state.sounds:
+                    self._miss([scheduled], "the program has stopped what it plays")
+                    return
+        at = start + begin.offset + round(wait * self._rate)
+        self.onsets.append(StimulusOutcome(scheduled.number, scheduled.client, at, reason))
+
+    def _busy(
+        self, order: commands.AppendSamples | commands.BeginEffect | commands.AddFrames
+    ) -> float:
+        """Return the time that samples have to wait for others of their client [s]."""
+        if isinstance(order, commands.AppendSamples) and order.append:
+            return self.voice(order.client).queue.waiting(order.contactors)
+        return 0.0
+
+    def _append_exactly(self, order: commands.AppendSamples) -> tuple[float, int]:
+        """Play samples at the next sample if nothing waits for their contactors.
+
+        Return the time until they begin [s], and the number of samples that do not fit.
+        """
+        queue = self.voice(order.client).queue
+        if not order.append:
+            queue.clear(order.contactors)
+        taken = queue.append(
+            order.samples, order.sample_rate, order.contactors, order.longest, exactly=True
+        )
+        wait = queue.waiting(order.contactors) - taken / order.sample_rate
+        return wait, len(order.samples) - taken
 
     def silence(self) -> None:
         """Drop all waves and fade in, before playing begins: no earlier wave continues."""
         self.rendering.restart()
+        self._miss(self.schedule.drop(), "the display was armed anew")
         for voice in self.voices.values():
             voice.silence()
 
@@ -274,10 +388,29 @@ class Mixer:
                 self.refresh(client)
         times = self.rendering.times(block.due)
         self.place, self.force = self.tracker.at(times, block.now)
-        waves = self._waves(len(times), block.number)
+        begins = self._take_scheduled(float(times[0]), len(times))
+        start = block.position + self.rendering.timed
+        waves = self._waves(len(times), block.number, begins, start)
         return self.rendering.render(block.position, self.place, self.force, waves)
 
-    def _waves(self, count: int, number: int) -> Singles | None:
+    def _take_scheduled(self, first: float, count: int) -> dict[int, list[Begin]]:
+        """Return the stimuli that begin in a block, by client, whose voice there is then."""
+        self._begins_work = min(self._begins_work + BEGINS_WORK_IN_BLOCK, BEGINS_WORK)
+        begins, used = self.schedule.take(
+            first, count, self._rate, self._begins_work, lambda c: self.voice(c).work(count)
+        )
+        self._begins_work -= used
+        for client in begins:
+            self.voice(client)
+        return begins
+
+    def _waves(
+        self,
+        count: int,
+        number: int,
+        begins: Mapping[int, Sequence[Begin]] = NOTHING,
+        start: int = 0,
+    ) -> Singles | None:
         """Return the sum of all clients' waves (S, N) [m] that block ``number`` has time for."""
         touching = self.worn or self.tracker.touching
         if touching != self._touching:
@@ -290,7 +423,12 @@ class Mixer:
             dropped = client in work and client not in chosen
             self.dropped_waves += dropped + voice.effect.dropped
             voice.effect.dropped = 0
-            wave = voice.skip(count) if dropped else voice.take(count)
+            reason = NO_TIME if dropped else FADING if self.rendering.fading else ""
+            own = [
+                (begin.offset, partial(self._begin, begin, start, reason))
+                for begin in begins.get(client, ())
+            ]
+            wave = voice.skip(count, own) if dropped else voice.take(count, own)
             if wave is not None:
                 scaled = wave * np.float32(voice.state.gain * self.gain)
                 total = scaled if total is None else total + scaled

@@ -33,9 +33,13 @@ from tactile.playback import priority
 from tactile.playback.commands import (
     AddFrames,
     DeviceOpened,
+    EndWaves,
+    ForgetClient,
     News,
+    OnsetReport,
     Order,
     OrderAnswer,
+    PlayAt,
     PlaybackSetup,
 )
 from tactile.playback.estimates import Estimates, ProcessEstimates
@@ -57,6 +61,8 @@ SILENCE = 0.15
 MOST_ORDERS = 8
 """Largest number of orders that are executed between two blocks, so that many of them delay none
 (100 µs each)."""
+Message = OrderAnswer | News | list[OnsetReport]
+"""Message to the server."""
 WAITING = 256
 """Largest number of answers and news that wait to be written; more are dropped, since nobody reads
 them."""
@@ -77,12 +83,10 @@ class Program:
         Function that sends answers and news, and never waits.
     """
 
-    def __init__(
-        self, player: PlaybackLoop, latch: Latch, say: Callable[[OrderAnswer | News], None]
-    ) -> None:
+    def __init__(self, player: PlaybackLoop, latch: Latch, say: Callable[[Message], None]) -> None:
         self._player, self._latch, self._send = player, latch, say
         self._orders: deque[tuple[int, Order]] = deque()
-        self._frames: deque[tuple[int, Order]] = deque()
+        self._frames: deque[tuple[int, AddFrames | PlayAt]] = deque()
         self._wake = threading.Event()
         self._stopping = threading.Lock()
         self._estop = 0
@@ -114,8 +118,12 @@ class Program:
         order : Order
             Order to execute.
         """
-        orders = self._frames if isinstance(order, AddFrames) else self._orders
-        orders.append((number, order))
+        if isinstance(order, AddFrames) or (
+            isinstance(order, PlayAt) and isinstance(order.order, AddFrames)
+        ):
+            self._frames.append((number, order))
+        else:
+            self._orders.append((number, order))
         self._wake.set()
 
     def end(self) -> None:
@@ -148,9 +156,13 @@ class Program:
             self._execute_next(self._frames)
             player.write_report()
             self._send_changes()
+        if reports := player.report_onsets():
+            self._send(reports)
         return player.running or bool(self._orders or self._frames)
 
-    def _execute_next(self, orders: deque[tuple[int, Order]]) -> None:
+    def _execute_next(
+        self, orders: deque[tuple[int, Order]] | deque[tuple[int, AddFrames | PlayAt]]
+    ) -> None:
         """Execute the next of the orders that wait, as many as may delay a block."""
         for _ in range(min(len(orders), MOST_ORDERS)):
             self._answer(*orders.popleft())
@@ -201,8 +213,18 @@ class Program:
 
     # Orders
 
+    def _execute_frames_of(self, client: int) -> None:
+        """Execute the orders of frames of a client, which came before one that ends them."""
+        came = [self._frames.popleft() for _ in range(len(self._frames))]
+        self._frames.extendleft(one for one in reversed(came) if one[1].client != client)
+        for number, order in came:
+            if order.client == client:
+                self._answer(number, order)
+
     def _answer(self, number: int, order: Order) -> None:
         """Execute an order, and send its result or failure."""
+        if isinstance(order, EndWaves | ForgetClient):
+            self._execute_frames_of(order.client)
         try:
             value = self._execute(number, order)
         except (TactileError, ValueError) as error:
@@ -299,14 +321,14 @@ class Pipe:
 
     def __init__(self, orders: BinaryIO, answers: BinaryIO) -> None:
         self._orders, self._answers = orders, answers
-        self._waiting: queue.Queue[OrderAnswer | News] = queue.Queue(WAITING)
+        self._waiting: queue.Queue[Message] = queue.Queue(WAITING)
 
-    def say(self, what: OrderAnswer | News) -> None:
+    def say(self, what: Message) -> None:
         """Queue a message to be written; it is dropped if nobody reads.
 
         Parameters
         ----------
-        what : OrderAnswer or News
+        what : OrderAnswer or News or list of OnsetReport
             Message to write.
         """
         with suppress(queue.Full):

@@ -1,6 +1,7 @@
 """Orders of a session as JSON: a text that is complete and that any program reads."""
 
 import base64
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +43,8 @@ class TextureDescription:
 
 SessionOrder = (
     TextureDescription | commands.DropTexture | commands.SetState | commands.AppendSamples
-    | commands.AddFrames | commands.BeginEffect | commands.EndWaves | commands.ForgetClient
+    | commands.AddFrames | commands.BeginEffect | commands.PlayAt | commands.EndWaves
+    | commands.ForgetClient
 )  # fmt: skip
 """Order to playback as a session holds it."""
 KINDS: dict[str, type[SessionOrder]] = {
@@ -52,6 +54,7 @@ KINDS: dict[str, type[SessionOrder]] = {
     "samples": commands.AppendSamples,
     "frames": commands.AddFrames,
     "effect": commands.BeginEffect,
+    "at": commands.PlayAt,
     "end-waves": commands.EndWaves,
     "forget": commands.ForgetClient,
 }
@@ -106,8 +109,17 @@ def encoded(number: int, order: SessionOrder) -> bytes:
     bytes
         JSON with a newline. Arrays are objects of type, shape and the bytes in base 64.
     """
-    line = {"number": number, "kind": _NAMES[type(order)], "order": order}
+    line = {"number": number, **_content(order)}
     return msgspec.json.encode(line, enc_hook=_array_text) + b"\n"
+
+
+def _content(order: SessionOrder) -> dict[str, Any]:
+    """Return an order with its kind; that within a `PlayAt` has a kind too."""
+    content: dict[str, Any] = {"kind": _NAMES[type(order)], "order": order}
+    if isinstance(order, commands.PlayAt):
+        fields = {field.name: getattr(order, field.name) for field in dataclasses.fields(order)}
+        content["order"] = fields | {"order": _content(order.order)}
+    return content
 
 
 def decoded(line: bytes) -> tuple[int, SessionOrder]:
@@ -132,11 +144,18 @@ def decoded(line: bytes) -> tuple[int, SessionOrder]:
     """
     try:
         content = msgspec.json.decode(line)
-        kind = KINDS[content["kind"]]
-        order = msgspec.convert(content["order"], kind, dec_hook=_array)
-        return int(content["number"]), order
+        return int(content["number"]), _order(content)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"an order cannot be read: {error!r}") from error
+
+
+def _order(content: dict[str, Any]) -> SessionOrder:
+    """Return the order of which `_content` has made a kind and its fields."""
+    kind = KINDS[content["kind"]]
+    if kind is commands.PlayAt:
+        fields = content["order"]
+        return commands.PlayAt(**fields | {"order": _order(fields["order"])})
+    return msgspec.convert(content["order"], kind, dec_hook=_array)
 
 
 def _array_text(value: object) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Voice of a client: the textures, waveforms, effects and tactile frames that it plays."""
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,9 @@ from tactile.arrays import Singles
 from tactile.playback.frame_stream import FramePlayer
 from tactile.playback.waveforms import WaveformQueue
 from tactile.playback.waves import EffectPlayer
+
+Begins = Sequence[tuple[int, Callable[[], object]]]
+"""Samples of a block at which something begins, and what begins it."""
 
 
 @dataclass
@@ -89,47 +93,80 @@ class Voice:
         """
         return self.queue.work(count) + self.effect.work(count) + self.frames.work(count)
 
-    def take(self, count: int) -> Singles | None:
+    def take(self, count: int, begins: Begins = ()) -> Singles | None:
         """Return the next samples of its waves.
 
         Parameters
         ----------
         count : int
             Number of samples of the drive.
+        begins : sequence of (int, callable)
+            Samples at which something is to be called, in ascending order.
 
         Returns
         -------
         (S, N) or (S, 1) array of float32 or None
             Shear [m]; None without waves.
         """
-        wave = None
-        for part in self._parts:
-            shear = part.take(count)
-            if shear is not None:
-                wave = shear if wave is None else wave + shear
+        parts = [self._next(each) for each in _cut(count, begins)]
+        waves = [wave for _, wave in parts if wave is not None]
+        wave: Singles | None = None
+        if len(parts) == 1 and waves:
+            wave = waves[0]
+        elif waves:
+            columns = max(part.shape[1] for part in waves)
+            wave = np.concatenate([
+                np.zeros((each, columns), np.float32) if part is None
+                else np.broadcast_to(part, (each, columns))
+                for each, part in parts
+            ])  # fmt: skip
         self._last = wave
         if wave is not None and self._silent:
             wave = wave * _rise(count)
         self._silent = False
         return wave
 
-    def skip(self, count: int) -> Singles | None:
+    def _next(self, count: int) -> tuple[int, Singles | None]:
+        """Return a number of samples, and the next samples of its waves; None without waves."""
+        wave: Singles | None = None
+        for part in self._parts:
+            shear = part.take(count)
+            if shear is not None:
+                wave = shear if wave is None else wave + shear
+        return count, wave
+
+    def skip(self, count: int, begins: Begins = ()) -> Singles | None:
         """Advance its waves in silence.
 
         Parameters
         ----------
         count : int
             Number of samples of the drive.
+        begins : sequence of (int, callable)
+            Samples at which something is to be called, in ascending order.
 
         Returns
         -------
         (S, N) or (S, 1) array of float32 or None
             Fade to silence [m]; None if there was no wave in the block before.
         """
-        for part in self._parts:
-            part.skip(count)
+        for each in _cut(count, begins):
+            for part in self._parts:
+                part.skip(each)
         last, self._last, self._silent = self._last, None, True
         return None if last is None else last[-1] * (1 - _rise(count))
+
+
+def _cut(count: int, begins: Begins) -> Iterator[int]:
+    """Yield the lengths of the parts of a block, and call what begins between them."""
+    at = 0
+    for offset, begin in begins:
+        if offset > at:
+            yield offset - at
+            at = offset
+        begin()
+    if count > at:
+        yield count - at
 
 
 def _rise(count: int) -> Singles:

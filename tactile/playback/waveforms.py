@@ -6,6 +6,7 @@ client learns how many were taken (``samplesConsumed`` of XR_FB_haptic_pcm). Wha
 the limiter like everything else.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -20,18 +21,29 @@ LONGEST = 1.0
 ZEROS, SHAPE = 8, 7.0
 """Length of the interpolation window on either side, in zeros of the sinc, and its shape: 70 dB
 (Kaiser's β 7)."""
+NEAR = 0.25
+"""Largest time between the first sample that is to begin exactly and a sample of the drive, in
+samples of the drive. For a drive at 8 kHz, samples at 1 kHz need no more than 8 grids, whenever
+they begin, those at 11.025 kHz 2, and those at 16 kHz or more one."""
 MOST_SEGMENTS = 128
 """Largest number of segments that wait in a queue, besides one for each contactor: within its
 `LONGEST`, a change of rate or contactors every 8 ms."""
-GRID_WORK, SEGMENT_WORK = 1000, 100
-"""Work of all samples of one rate in a block, and of each segment on which the block depends, the
-same for any small number of samples; in units of `tactile.playback.waves`."""
+GRID_WORK, WEIGHTS_WORK, SEGMENT_WORK = 350, 650, 100
+"""Work of a grid of samples in a block, of the weights of its interpolation unless they are
+remembered, and of each segment on which the block depends, the same for any small number of
+samples; in units of `tactile.playback.waves`."""
 PRODUCTS = 200
 """Number of products of a kernel and a sample that take as much work as one evaluation of the
 kernel."""
 
 Contactors = NDArray[np.intp]
 """Indices of contactors, in ascending order."""
+
+
+@functools.lru_cache(1024)
+def _indices(contactors: tuple[int, ...]) -> Contactors:
+    """Return indices of contactors in ascending order, each once."""
+    return np.unique(np.array(contactors, np.intp))
 
 
 class WaveformSegment:
@@ -155,6 +167,11 @@ class WaveformGrid:
         self._at = 0.0
 
     @property
+    def begins_here(self) -> bool:
+        """Whether a sample falls on the next sample of the drive, to within `NEAR`."""
+        return abs(self._at - round(self._at)) <= NEAR * self._ratio + 1e-6
+
+    @property
     def is_over(self) -> bool:
         """Whether all samples were read."""
         return self._last_end <= self._at
@@ -163,7 +180,15 @@ class WaveformGrid:
         """Return the time until all samples of some contactors were read [s]."""
         return max(float(self._ends[contactors].max()) - self._at, 0.0) / self.rate
 
-    def add(self, samples: Singles, contactors: Contactors, after: float, segments: int) -> bool:
+    def add(
+        self,
+        samples: Singles,
+        contactors: Contactors,
+        after: float,
+        segments: int,
+        *,
+        exactly: bool,
+    ) -> bool:
         """Add samples for some contactors, once each of them has played all that waits for it.
 
         Parameters
@@ -176,15 +201,18 @@ class WaveformGrid:
             Time that they have to wait for samples of other rates [s].
         segments : int
             Number of segments that may be added.
+        exactly : bool
+            Whether they begin with the next sample of the drive, to within `NEAR`, which
+            `begins_here` says is possible. If not, they begin with that sample or after it.
 
         Returns
         -------
         bool
             Whether they were added, as they are unless they need a segment more.
         """
-        first = max(
-            int(self._ends[contactors].max()), math.ceil(self._at + after * self.rate - 1e-6)
-        )
+        begin = self._at + after * self.rate
+        row = round(begin) if exactly and not after else math.ceil(begin - 1e-6)
+        first = max(int(self._ends[contactors].max()), row)
         for segment in self.segments:
             if segment.end == first and np.array_equal(segment.contactors, contactors):
                 break
@@ -221,8 +249,10 @@ class WaveformGrid:
         """
         near = 2 * self._reach
         products = count * (near + int(count * self._ratio)) * len(self._ends)
-        segments = SEGMENT_WORK * len(self._near(count)) + len(self.segments)
-        return GRID_WORK + count * near + products // PRODUCTS + segments
+        work = GRID_WORK + products // PRODUCTS
+        if not self._interpolation.remembers(self._at, self._ratio, count):
+            work += WEIGHTS_WORK + count * near
+        return work + SEGMENT_WORK * len(self._near(count)) + len(self.segments)
 
     def _near(self, count: int) -> list[WaveformSegment]:
         """Return the segments on which the next samples depend."""
@@ -242,8 +272,7 @@ class WaveformGrid:
         (S, N) array of float32
             Samples [m].
         """
-        time = np.asarray(self._at + self._ratio * np.arange(count), np.float64)
-        first, weights = self._interpolation.weights(time)
+        first, weights = self._interpolation.equidistant_weights(self._at, self._ratio, count)
         window = np.zeros((weights.shape[1], len(self._ends)), np.float32)
         sounds = np.zeros((count, len(self._ends)), np.float32)
         for segment in self._near(count):
@@ -255,8 +284,8 @@ class WaveformGrid:
         return samples
 
     def _sample(self, row: int) -> int:
-        """Return the next sample of the drive, from now, that is not before a row of the grid."""
-        return max(math.ceil((row - self._at) / self._ratio), 0)
+        """Return the first sample of the drive, from now, that belongs to a row of the grid."""
+        return max(math.ceil((row - self._at) / self._ratio - NEAR - 1e-6), 0)
 
     def skip(self, count: int) -> None:
         """Advance without reading.
@@ -284,7 +313,7 @@ class WaveformQueue:
 
     def __init__(self, sample_rate: float, contactors: int) -> None:
         self._rate, self._all = sample_rate, np.arange(contactors)
-        self._grids: dict[float, WaveformGrid] = {}
+        self._grids: list[WaveformGrid] = []
         self._ending = Ending(sample_rate, contactors)
 
     def waiting(self, contactors: tuple[int, ...] = ()) -> float:
@@ -301,10 +330,10 @@ class WaveformQueue:
             Time [s].
         """
         chosen = self._chosen(contactors)
-        return max((grid.waiting(chosen) for grid in self._grids.values()), default=0.0)
+        return max((grid.waiting(chosen) for grid in self._grids), default=0.0)
 
     def _chosen(self, contactors: tuple[int, ...]) -> Contactors:
-        return np.unique(np.array(contactors, np.intp)) if contactors else self._all
+        return _indices(contactors) if contactors else self._all
 
     def append(
         self,
@@ -312,6 +341,8 @@ class WaveformQueue:
         sample_rate: float,
         contactors: tuple[int, ...],
         longest: float = LONGEST,
+        *,
+        exactly: bool = False,
     ) -> int:
         """Add samples after those that wait for the same contactors, as far as there is room.
 
@@ -325,6 +356,9 @@ class WaveformQueue:
             Contactors that play them; empty for all.
         longest : float
             Largest duration of samples that may wait [s].
+        exactly : bool
+            Whether the first sample is played at the next sample of the drive, to within `NEAR`, if
+            nothing waits for the contactors. If not, it may be a period of the samples later.
 
         Returns
         -------
@@ -337,16 +371,25 @@ class WaveformQueue:
         rows = samples[:room, None]
         if not len(rows):
             return 0
-        others = [grid for rate, grid in self._grids.items() if rate != sample_rate]
-        after = max((grid.waiting(chosen) for grid in others), default=0.0)
-        grid = self._grids.get(sample_rate)
-        if grid is None:
-            grid = WaveformGrid(sample_rate, self._rate, len(self._all))
-        segments = sum(len(each.segments) for each in self._grids.values())
-        if not grid.add(rows, chosen, after, MOST_SEGMENTS + len(self._all) - segments):
+        grid = self._grid_for(chosen, sample_rate, exactly=exactly)
+        others = [other for other in self._grids if other is not grid]
+        after = max((other.waiting(chosen) for other in others), default=0.0)
+        used = sum(len(each.segments) for each in self._grids)
+        segments = MOST_SEGMENTS + len(self._all) - used
+        if not grid.add(rows, chosen, after, segments, exactly=exactly):
             return 0
-        self._grids[sample_rate] = grid
+        if grid not in self._grids:
+            self._grids.append(grid)
         return len(rows)
+
+    def _grid_for(self, chosen: Contactors, sample_rate: float, *, exactly: bool) -> WaveformGrid:
+        """Return the grid that samples continue, or in which they may begin."""
+        grids = [grid for grid in self._grids if grid.rate == sample_rate]
+        grid = max(grids, key=lambda grid: grid.waiting(chosen), default=None)
+        if grid is not None and grid.waiting(chosen) > 0:
+            return grid
+        grids = [grid for grid in grids if grid.begins_here or not exactly]
+        return grids[0] if grids else WaveformGrid(sample_rate, self._rate, len(self._all))
 
     def clear(self, contactors: tuple[int, ...] = ()) -> None:
         """Drop what waits for some contactors, and let the last sample of theirs fade out.
@@ -357,7 +400,7 @@ class WaveformQueue:
             Contactors; empty for all.
         """
         chosen = self._chosen(contactors)
-        for grid in self._grids.values():
+        for grid in self._grids:
             grid.leave(chosen)
         self._ending.begin(chosen)
 
@@ -375,7 +418,7 @@ class WaveformQueue:
             Work; 0 if nothing waits.
         """
         work = SEGMENT_WORK if self._ending.sounds else 0
-        for grid in self._grids.values():
+        for grid in self._grids:
             work += grid.work(count)
         return work
 
@@ -396,7 +439,7 @@ class WaveformQueue:
             self._ending.skip(count)
             return None
         out = np.zeros((count, len(self._all)), np.float32)
-        for grid in self._grids.values():
+        for grid in self._grids:
             out += grid.read(count)
         self._ending.add_to(out)
         self._drop_played()
@@ -410,12 +453,11 @@ class WaveformQueue:
         count : int
             Number of samples of the drive.
         """
-        for grid in self._grids.values():
+        for grid in self._grids:
             grid.skip(count)
         self._ending.skip(count)
         self._drop_played()
 
     def _drop_played(self) -> None:
         """Drop grids of which nothing waits."""
-        for rate in [rate for rate, grid in self._grids.items() if grid.is_over]:
-            del self._grids[rate]
+        self._grids = [grid for grid in self._grids if not grid.is_over]

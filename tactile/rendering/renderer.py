@@ -108,6 +108,11 @@ class Ramp:
         """Whether the gain is 0 and stays there."""
         return self._way == 1 and self._to == 0
 
+    @property
+    def full(self) -> bool:
+        """Whether the gain is 1 and stays there."""
+        return self._way == 1 and self._to == 1
+
     def __call__(self, shear: Singles) -> Singles:
         """Return shear (S, N), scaled by the next S gains, and advance by as many samples."""
         if self._way == 1:
@@ -212,6 +217,11 @@ class Renderer:
         The last valid position is held, the force is taken as 0, and so is a waveform's sample.
         """
         return self._motion.invalid_samples + self._invalid
+
+    @property
+    def fading(self) -> bool:
+        """Whether the shear is not whole yet, or not any more."""
+        return not self._fade.full
 
     def fade_in(self) -> None:
         """Let the shear rise from 0 within the display's fade, from the next sample on."""

@@ -108,6 +108,8 @@ Milliseconds = Annotated[float, Meta(ge=0, le=60_000)]
 Hertz = Annotated[float, Meta(ge=0, le=1000)]
 """Frequency of an effect [Hz]."""
 
+FARTHEST = 60.0
+"""Time by which the time of a `BeginAt` may be ahead [s]."""
 Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 """Seed of the random realization of a texture."""
 PixelCount = Annotated[int, Meta(ge=1, le=4096)]
@@ -352,6 +354,29 @@ class SetGain(DisplayRequest, frozen=True, kw_only=True, tag="gain"):
     gain: Fraction
 
 
+class BeginAt(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Time at which a waveform, an effect or tactile frames are to begin.
+
+    It begins with the sample that is nearest to the time. What became of it, an `OnsetMessage`
+    reports, unless the answer was a failure.
+
+    Attributes
+    ----------
+    at_us : int
+        Time of the server's monotonic clock at which the first sample is to be put out, at most
+        60 s ahead [µs].
+    drop_late : bool
+        Whether it is dropped if that is not possible, because the time has passed or the contactors
+        still play a waveform of this client. If not, it begins as soon as possible.
+    mark : int
+        Number chosen by the client, which the `OnsetMessage` repeats.
+    """
+
+    at_us: Microseconds
+    drop_late: bool = False
+    mark: Id = 0
+
+
 class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
     """Queue a waveform of tangential shear; requires the role "play" and an armed display.
 
@@ -374,6 +399,9 @@ class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
         same contactors is dropped first, even if none of the new samples is taken.
     contactors : list of int
         Indices of the contactors that play the waveform; all if the list is empty.
+    begin : BeginAt or null
+        Time at which it is to begin; null for as soon as the contactors are free. Of a waveform
+        that has a time, a second is taken, and what is appended without one does not wait for it.
     """
 
     sample_rate_hz: Annotated[float, Meta(ge=100, le=48_000)]
@@ -386,6 +414,7 @@ class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
     contactors: Annotated[
         tuple[Annotated[int, Meta(ge=0, le=4095)], ...], Meta(max_length=4096)
     ] = ()
+    begin: BeginAt | None = None
 
 
 class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
@@ -416,6 +445,10 @@ class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
         period of the frames, as soon as it comes. If false, every frame is played, in a
         band-limited signal (up to 0.32 of the rate), which follows the clock of the source. It is
         four frames and 3 ms behind the frames as they come, more if the source is not even.
+    begin : BeginAt or null
+        Time at which the first of the frames is to be played, in a stream that replaces the one
+        before; null for frames that continue a stream: one of the same rate that waits for its
+        time, else the one that plays.
     """
 
     display: Name
@@ -426,6 +459,7 @@ class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
         | Annotated[bytes, Meta(max_length=4 * MOST_FRAME_VALUES)]
     )
     latest: bool = False
+    begin: BeginAt | None = None
 
 
 class Point(Struct, frozen=True, array_like=True):
@@ -497,6 +531,8 @@ class PlayEffect(DisplayRequest, frozen=True, kw_only=True, tag="effect"):
     stream : bool
         Whether this is a frame of a stream. It then takes over from the frame before it, in place
         of what was still to come of that, and its last amplitude is held for 50 ms before it fades.
+    begin : BeginAt or null
+        Time at which it is to begin; null for at once.
     """
 
     amplitude_um: Micrometers
@@ -504,6 +540,7 @@ class PlayEffect(DisplayRequest, frozen=True, kw_only=True, tag="effect"):
     frequency: Annotated[tuple[FrequencyPoint, ...], Meta(max_length=MOST_POINTS)] = ()
     transients: Annotated[tuple[Transient, ...], Meta(max_length=MOST_POINTS)] = ()
     stream: bool = False
+    begin: BeginAt | None = None
 
 
 class ListEffects(Request, frozen=True, kw_only=True, tag="list_effects"):
@@ -522,10 +559,13 @@ class PlayNamedEffect(DisplayRequest, frozen=True, kw_only=True, tag="play_effec
         Name of an effect, as listed in `Effects`.
     gain : float
         Factor of the effect's amplitude, 0 to 1.
+    begin : BeginAt or null
+        Time at which it is to begin; null for at once.
     """
 
     effect: Name
     gain: Fraction = 1.0
+    begin: BeginAt | None = None
 
 
 class ArmDisplay(DisplayRequest, frozen=True, kw_only=True, tag="arm"):
@@ -913,6 +953,37 @@ class EventMessage(ApiMessage, frozen=True, kw_only=True, tag="event"):
     contactors: tuple[int, ...] = ()
 
 
+class OnsetMessage(ApiMessage, frozen=True, kw_only=True, tag="onset"):
+    """Report on a waveform, an effect or tactile frames that were to begin at a time.
+
+    It comes a third of a second after that, when the amplifier has reported what it put out.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    mark : int
+        Number that the client gave it in `BeginAt`.
+    at_us : int
+        Time at which it was to begin, as in `BeginAt` [µs].
+    onset_us : float or null
+        Time of the server's monotonic clock at which its first sample was put out, by the clock of
+        the amplifier; null if it was not [µs].
+    uncertainty_us : float or null
+        Half of the interval around ``onset_us`` that holds the true time; null if it is not known,
+        as on a sound card [µs].
+    reason : str
+        Reason in one line why it did not begin, or not at its time; empty if it did.
+    """
+
+    display: str
+    mark: int
+    at_us: Microseconds
+    onset_us: float | None
+    uncertainty_us: float | None
+    reason: str = ""
+
+
 class TelemetryFinger(Struct, frozen=True, kw_only=True):
     """Loads of a finger on the contactors, as playback finds them from their currents.
 
@@ -1024,7 +1095,7 @@ Command = (
 """Any message of a client."""
 Answer = (
     Welcome | Textures | TexturePicture | Effects | Done | AppendedReply | Pong | StatsReply
-    | Failure | EventMessage | TelemetryMessage
+    | Failure | EventMessage | OnsetMessage | TelemetryMessage
 )  # fmt: skip
 """Any message of the server."""
 

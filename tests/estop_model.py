@@ -163,6 +163,12 @@ class Judged(RuleBasedStateMachine):
             "append": lambda: m.Append(
                 display=name, sample_rate_hz=500.0, amplitude_um=20.0, samples=(0.9, -0.9) * 300
             ),
+            "scheduled": lambda: m.PlayEffect(
+                display=name,
+                amplitude_um=20.0,
+                amplitude=point,
+                begin=m.BeginAt(at_us=round(1e6 * (self.now + 0.02))),
+            ),
             "frames": lambda: m.TactileFrames(
                 display=name, frame_rate_hz=500.0, amplitude_um=20.0, frames=FRAMES
             ),

@@ -51,7 +51,7 @@ from tactile.messages import (
     TexturePicture,
     Textures,
 )
-from tactile.server.client import Client
+from tactile.server.client import Client, Posted
 from tactile.server.config import Configuration, OscConfig, ServerConfig, TokenConfig
 from tactile.server.host import Host
 from tactile.server.server import Server, running
@@ -89,7 +89,7 @@ class Hand(Client):
     def __init__(self, hands: "Hands", name: str, roles: frozenset[Role]) -> None:
         self.hands, self.name, self.roles = hands, name, roles
         self.quieted = self.gave_up = 0
-        self.outbox: asyncio.Queue[EventMessage | TelemetryMessage] = asyncio.Queue(256)
+        self.outbox: asyncio.Queue[Posted] = asyncio.Queue(256)
         self.contacts: list[Contact] = []
         self.commands: list[Command] = []
         self.closed = 0
@@ -358,7 +358,7 @@ GOOD: dict[str, tuple[dict[str, Any], str]] = {
     "gain": ({"type": "gain", "display": "right", "gain": 0.5}, "done"),
     "append": (
         {"type": "append", "display": "right", "sample_rate_hz": 8000, "amplitude_um": 5,
-         "samples": [0, 0.5, -1]},
+         "samples": [0, 0.5, -1], "begin": {"at_us": 5, "drop_late": True, "mark": 9}},
         "appended",
     ),
     "effect": (
@@ -454,4 +454,12 @@ BAD = [
     Bad(dict(FRAMES, frame_rate_hz=99), "invalid_field", "frame_rate_hz"),
     Bad(dict(FRAMES, amplitude_um=501), "invalid_field", "amplitude_um"),
     Bad(dict(FRAMES, latest="newest"), "invalid_field", "latest"),
+    Bad(dict(FRAMES, begin={"drop_late": True}), "invalid_field", "begin.at_us"),
+    Bad(dict(FRAMES, begin=5), "invalid_field", "begin"),
+    Bad(
+        dict(GOOD["effect"][0], begin={"at_us": 2**63}, id=7), "invalid_field", "begin.at_us"
+    ),
+    Bad(
+        dict(GOOD["append"][0], begin={"at_us": 0, "mark": -1}, id=7), "invalid_field", "begin.mark"
+    ),
 ]  # fmt: skip

@@ -84,6 +84,12 @@ class Story:
         self.ask(one, m.TactileFrames(
             display=NAME, frame_rate_hz=1000, amplitude_um=2, frames=wave[:960],
         ))  # fmt: skip
+        soon = m.BeginAt(at_us=round(1e6 * (self.world.clock.now() + 0.1)))
+        appended = self.ask(one, m.Append(
+            display=NAME, sample_rate_hz=1000, amplitude_um=1, samples=wave[:100],
+            contactors=(1,), begin=soon,
+        ))  # fmt: skip
+        assert isinstance(appended, m.AppendedReply)
         points = m.Point(time_ms=0.0, value=1.0), m.Point(time_ms=500.0, value=0.2)
         self.ask(two, m.PlayEffect(display=NAME, amplitude_um=2, amplitude=points))
         self.slide(one, 0.2)

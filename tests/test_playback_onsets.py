@@ -160,7 +160,7 @@ def test_a_time_that_has_passed_is_reported_and_the_stimulus_dropped_or_played(
 def test_contactors_that_play_something_else_make_a_stimulus_late(
     stage: Stage, drop_late: bool, rate: float
 ) -> None:
-    stage.player.apply(AppendSamples(ME, np.full(4003, 1e-6, np.float32), RATE, (3,), True))
+    stage.player.apply(AppendSamples(ME, np.full(4006, 1e-6, np.float32), RATE, (3,), True))
     stage.rest(0.4)
     louder = AppendSamples(ME, np.full(400, 2e-6, np.float32), rate, (3,), True)
     schedule(stage, louder, stage.bus.due(stage.player.position + 160), drop_late=drop_late)

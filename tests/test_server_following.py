@@ -16,7 +16,7 @@ from virtual_server import World, virtual_world
 
 from tactile import messages as m
 from tactile.client import wire
-from tactile.server.client import Client
+from tactile.server.client import Client, Posted
 from tactile.server.config import Configuration, DisplayConfig, FingerConfig
 from tactile.server.metrics import Metrics
 
@@ -56,7 +56,7 @@ def ask(world: World, client: Client, command: m.Command) -> None:
     assert isinstance(world.run(client.request(command)), m.Done)
 
 
-def heard(client: Client) -> list[m.EventMessage | m.TelemetryMessage]:
+def heard(client: Client) -> list[Posted]:
     return [client.outbox.get_nowait() for _ in range(client.outbox.qsize())]
 
 

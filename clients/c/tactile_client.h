@@ -222,6 +222,7 @@ typedef enum {
   TACTILE_TYPE_STATS,
   TACTILE_TYPE_FAILURE,
   TACTILE_TYPE_EVENT,
+  TACTILE_TYPE_ONSET,
   TACTILE_TYPE_TELEMETRY
 } tactile_type;
 
@@ -237,6 +238,7 @@ static const char *const tactile_names_type[] = {
     "stats",
     "failure",
     "event",
+    "onset",
     "telemetry",
     NULL};
 
@@ -416,6 +418,27 @@ typedef struct {
 } tactile_integer_list;
 
 /**
+ * Time at which a waveform, an effect or tactile frames are to begin.
+ *
+ * It begins with the sample that is nearest to the time. What became of it, an `OnsetMessage`
+ * reports, unless the answer was a failure.
+ */
+typedef struct {
+  /**
+   * Time of the server's monotonic clock at which the first sample is to be put out, at most
+   * 60 s ahead [µs].
+   */
+  int64_t at_us;
+  /**
+   * Whether it is dropped if that is not possible, because the time has passed or the contactors
+   * still play a waveform of this client. If not, it begins as soon as possible.
+   */
+  bool drop_late;
+  /** Number chosen by the client, which the `OnsetMessage` repeats. */
+  int64_t mark;
+} tactile_begin_at;
+
+/**
  * Queue a waveform of tangential shear; requires the role "play" and an armed display.
  *
  * It follows XR_FB_haptic_pcm: samples that do not fit in the client's buffer are not taken.
@@ -450,6 +473,12 @@ typedef struct {
   bool append;
   /** Indices of the contactors that play the waveform; all if the list is empty. */
   tactile_integer_list contactors;
+  /**
+   * Time at which it is to begin; null for as soon as the contactors are free. Of a waveform
+   * that has a time, a second is taken, and what is appended without one does not wait for it.
+   */
+  bool has_begin;
+  tactile_begin_at begin;
 } tactile_append;
 
 /**
@@ -486,6 +515,13 @@ typedef struct {
    * four frames and 3 ms behind the frames as they come, more if the source is not even.
    */
   bool latest;
+  /**
+   * Time at which the first of the frames is to be played, in a stream that replaces the one
+   * before; null for frames that continue a stream: one of the same rate that waits for its
+   * time, else the one that plays.
+   */
+  bool has_begin;
+  tactile_begin_at begin;
 } tactile_frames;
 
 /** Amplitude at a time, an array [time_ms, value]; linear between points. */
@@ -563,6 +599,9 @@ typedef struct {
    * of what was still to come of that, and its last amplitude is held for 50 ms before it fades.
    */
   bool stream;
+  /** Time at which it is to begin; null for at once. */
+  bool has_begin;
+  tactile_begin_at begin;
 } tactile_effect;
 
 /** Ask for all effects that can be played by name; answered by `Effects`. */
@@ -592,6 +631,9 @@ typedef struct {
    */
   bool has_gain;
   double gain;
+  /** Time at which it is to begin; null for at once. */
+  bool has_begin;
+  tactile_begin_at begin;
 } tactile_play_effect;
 
 /**
@@ -968,6 +1010,34 @@ typedef struct {
   tactile_integer_list contactors;
 } tactile_event;
 
+/**
+ * Report on a waveform, an effect or tactile frames that were to begin at a time.
+ *
+ * It comes a third of a second after that, when the amplifier has reported what it put out.
+ */
+typedef struct {
+  /** Name of the display. */
+  tactile_text display;
+  /** Number that the client gave it in `BeginAt`. */
+  int64_t mark;
+  /** Time at which it was to begin, as in `BeginAt` [µs]. */
+  int64_t at_us;
+  /**
+   * Time of the server's monotonic clock at which its first sample was put out, by the clock of
+   * the amplifier; null if it was not [µs].
+   */
+  bool has_onset_us;
+  double onset_us;
+  /**
+   * Half of the interval around `onset_us` that holds the true time; null if it is not known,
+   * as on a sound card [µs].
+   */
+  bool has_uncertainty_us;
+  double uncertainty_us;
+  /** Reason in one line why it did not begin, or not at its time; empty if it did. */
+  tactile_text reason;
+} tactile_onset;
+
 /** List of `bool`. */
 typedef struct {
   const bool *items;
@@ -1075,6 +1145,7 @@ typedef struct {
     tactile_stats stats;
     tactile_failure failure;
     tactile_event event;
+    tactile_onset onset;
     tactile_telemetry telemetry;
   } as;
 } tactile_answer;
@@ -1274,6 +1345,15 @@ static const tactile_shape tactile_shape_integer_list = {
     TACTILE_FORM_LIST, sizeof(tactile_integer_list), 0,
     &tactile_shape_integer, NULL, NULL};
 
+static const tactile_field tactile_fields_begin_at[] = {
+    TACTILE_FIELD(begin_at, at_us, integer, TACTILE_REQUIRED),
+    TACTILE_FIELD(begin_at, drop_late, boolean, TACTILE_OPTIONAL),
+    TACTILE_FIELD(begin_at, mark, integer, TACTILE_OPTIONAL),
+};
+static const tactile_shape tactile_shape_begin_at = {
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_begin_at), 3,
+    NULL, NULL, tactile_fields_begin_at};
+
 static const char *const tactile_tag_append[] = {"append"};
 static const tactile_field tactile_fields_append[] = {
     TACTILE_FLAGGED(append, id, integer, TACTILE_OPTIONAL, 0.0),
@@ -1284,9 +1364,10 @@ static const tactile_field tactile_fields_append[] = {
     TACTILE_FIELD(append, samples, number_list, TACTILE_REQUIRED),
     TACTILE_FLAGGED(append, append, boolean, TACTILE_OPTIONAL, 1.0),
     TACTILE_FIELD(append, contactors, integer_list, TACTILE_OPTIONAL),
+    TACTILE_FLAGGED(append, begin, begin_at, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_append = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_append), 8,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_append), 9,
     NULL, tactile_tag_append, tactile_fields_append};
 
 static const char *const tactile_tag_frames[] = {"frames"};
@@ -1297,9 +1378,10 @@ static const tactile_field tactile_fields_frames[] = {
     TACTILE_NAMED("frames", frames, frames_bytes, bytes, TACTILE_INSTEAD, 0),
     TACTILE_FIELD(frames, frames, number_list, TACTILE_REQUIRED),
     TACTILE_FIELD(frames, latest, boolean, TACTILE_OPTIONAL),
+    TACTILE_FLAGGED(frames, begin, begin_at, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_frames = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_frames), 6,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_frames), 7,
     NULL, tactile_tag_frames, tactile_fields_frames};
 
 static const tactile_field tactile_fields_point[] = {
@@ -1348,9 +1430,10 @@ static const tactile_field tactile_fields_effect[] = {
     TACTILE_FIELD(effect, frequency, frequency_point_list, TACTILE_OPTIONAL),
     TACTILE_FIELD(effect, transients, transient_list, TACTILE_OPTIONAL),
     TACTILE_FIELD(effect, stream, boolean, TACTILE_OPTIONAL),
+    TACTILE_FLAGGED(effect, begin, begin_at, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_effect = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_effect), 7,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_effect), 8,
     NULL, tactile_tag_effect, tactile_fields_effect};
 
 static const char *const tactile_tag_list_effects[] = {"list_effects"};
@@ -1367,9 +1450,10 @@ static const tactile_field tactile_fields_play_effect[] = {
     TACTILE_FIELD(play_effect, display, text, TACTILE_REQUIRED),
     TACTILE_FIELD(play_effect, effect, text, TACTILE_REQUIRED),
     TACTILE_FLAGGED(play_effect, gain, number, TACTILE_OPTIONAL, 1.0),
+    TACTILE_FLAGGED(play_effect, begin, begin_at, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_play_effect = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_play_effect), 4,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_play_effect), 5,
     NULL, tactile_tag_play_effect, tactile_fields_play_effect};
 
 static const char *const tactile_tag_arm[] = {"arm"};
@@ -1637,6 +1721,19 @@ static const tactile_field tactile_fields_event[] = {
 static const tactile_shape tactile_shape_event = {
     TACTILE_FORM_STRUCTURE, sizeof(tactile_event), 5,
     NULL, tactile_tag_event, tactile_fields_event};
+
+static const char *const tactile_tag_onset[] = {"onset"};
+static const tactile_field tactile_fields_onset[] = {
+    TACTILE_FIELD(onset, display, text, TACTILE_REQUIRED),
+    TACTILE_FIELD(onset, mark, integer, TACTILE_REQUIRED),
+    TACTILE_FIELD(onset, at_us, integer, TACTILE_REQUIRED),
+    TACTILE_FLAGGED(onset, onset_us, number, TACTILE_REQUIRED, 0.0),
+    TACTILE_FLAGGED(onset, uncertainty_us, number, TACTILE_REQUIRED, 0.0),
+    TACTILE_FIELD(onset, reason, text, TACTILE_OPTIONAL),
+};
+static const tactile_shape tactile_shape_onset = {
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_onset), 6,
+    NULL, tactile_tag_onset, tactile_fields_onset};
 
 static const tactile_shape tactile_shape_boolean_list = {
     TACTILE_FORM_LIST, sizeof(tactile_boolean_list), 0,
@@ -2266,6 +2363,7 @@ static inline tactile_status tactile_decode(const uint8_t *data, size_t size,
       &tactile_shape_stats,
       &tactile_shape_failure,
       &tactile_shape_event,
+      &tactile_shape_onset,
       &tactile_shape_telemetry};
   tactile_reader r = {data, size, 0, (uint8_t *)memory, room, 0, TACTILE_OK};
   tactile_text tag = tactile_read_tag(&r);

@@ -31,7 +31,9 @@ from tactile.playback import commands
 from tactile.playback.ending import ENDING
 from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.frame_stream import FADE, HOLD
+from tactile.playback.schedule import MOST_SCHEDULED
 from tactile.playback.shear_ring import ShearRing
+from tactile.playback.waveforms import LONGEST
 from tactile.playback.waves import Curve
 from tactile.rendering.surface_picture import SurfaceSection
 from tactile.server.decoding import failed, hint
@@ -46,7 +48,9 @@ if TYPE_CHECKING:
     from tactile.server.host import Host
 
 OUTBOX = 64
-"""Maximum number of events and telemetry messages that wait for a client."""
+"""Number of messages that wait for a client from which on telemetry is dropped."""
+Posted = EventMessage | m.OnsetMessage | TelemetryMessage
+"""Message that a client gets without a request."""
 SILENT = "the program gave no sign of life; its waveforms and effects were faded"
 """Detail of the event "silent"."""
 NO_WAVEFORMS = "the link takes spectrum frames, which carry textures and no waveforms"
@@ -83,32 +87,34 @@ class Client:
         Name of the program.
     roles : frozenset of Role
         What the client may do.
-    outbox : asyncio.Queue of EventMessage or TelemetryMessage
-        Messages for the client; if it is full, the oldest telemetry is dropped.
+    outbox : asyncio.Queue of EventMessage, OnsetMessage or TelemetryMessage
+        Messages for the client; of too many, the oldest telemetry is dropped.
     """
 
     def __init__(self, host: "Host", number: int, name: str, *, roles: frozenset[m.Role]) -> None:
         self.number, self.name, self._host, self.roles = number, name, host, roles
         self._sounds_until = -math.inf
         self._has_left = False
-        self.outbox: asyncio.Queue[EventMessage | TelemetryMessage] = asyncio.Queue(OUTBOX)
+        self.outbox: asyncio.Queue[Posted] = asyncio.Queue(OUTBOX + MOST_SCHEDULED)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
         self._traced: dict[str, tuple[int | None, tuple[_Tracer, _Tracer]]] = {}
 
-    def post(self, what: EventMessage | TelemetryMessage) -> None:
-        """Put a message in the outbox, in place of the oldest telemetry if it is full.
+    def post(self, what: Posted) -> None:
+        """Put a message in the outbox, in place of the oldest telemetry if that is too much.
+
+        Without telemetry, there is room for a report on each stimulus; then the oldest is dropped.
 
         Parameters
         ----------
-        what : EventMessage or TelemetryMessage
+        what : EventMessage, OnsetMessage or TelemetryMessage
             Message for the client.
         """
-        if self.outbox.full():
+        if self.outbox.qsize() >= OUTBOX:
             queued = [self.outbox.get_nowait() for _ in range(self.outbox.qsize())]
-            oldest = next(
-                (k for k, item in enumerate(queued) if isinstance(item, TelemetryMessage)), 0
-            )
+            telemetry = [k for k, item in enumerate(queued) if isinstance(item, TelemetryMessage)]
+            full = len(queued) == self.outbox.maxsize
+            oldest = telemetry[0] if telemetry else 0 if full else None
             for k, item in enumerate(queued):
                 if k != oldest:
                     self.outbox.put_nowait(item)
@@ -184,7 +190,10 @@ class Client:
         if not PLAY & self.roles:
             return self._refusal(message, PLAY)
         if isinstance(message, TactileFrames):
-            return self._frames(playing, message)
+            failure = self._frames(playing, message)
+            if failure is not None and message.begin is not None:
+                playing.stimuli.refuse(self.number, message.begin, failure.message)
+            return failure
         self._contact(playing, message, arrival)
         return None
 
@@ -211,15 +220,31 @@ class Client:
         if len(values) % contactors:
             text = f"{len(values)} values are no whole number of frames for {contactors} contactors"
             return failed("invalid_field", text, field="frames")
+        if failure := self._begin_failure(message.begin):
+            return failure
         if self._has_left or not len(values):
             return None
         shear = np.float32(message.amplitude_um * 1e-6) * values.reshape(-1, contactors)
-        playing.add_frames(
-            commands.AddFrames(self.number, shear, message.frame_rate_hz, message.latest)
-        )
-        sounds = loop_time() + len(shear) / message.frame_rate_hz + HOLD + FADE
-        self._sounds_until = max(self._sounds_until, sounds)
+        frames = commands.AddFrames(self.number, shear, message.frame_rate_hz, message.latest)
+        playing.add_frames(frames, message.begin)
+        seconds = len(shear) / message.frame_rate_hz
+        # frames that continue a stream that waits for its time sound with it, a second at most
+        self._sound((LONGEST if message.begin else seconds) + HOLD + FADE, message.begin)
         return None
+
+    def _sound(self, seconds: float, begin: m.BeginAt | None) -> None:
+        """Take note that something sounds for a time, from now or from when it is to begin."""
+        from_now = 0.0 if begin is None else max(begin.at_us * 1e-6 - loop_time(), 0.0)
+        self._sounds_until = max(self._sounds_until, loop_time() + from_now + seconds)
+
+    @staticmethod
+    def _begin_failure(begin: m.BeginAt | None) -> Failure | None:
+        """Return what is wrong with the time at which something is to begin."""
+        ahead = 0.0 if begin is None else begin.at_us * 1e-6 - loop_time()
+        if ahead <= m.FARTHEST:
+            return None
+        text = f"{ahead:.6g} s ahead; at most {m.FARTHEST:g} s"
+        return failed("invalid_field", text, field="begin.at_us")
 
     async def request(self, command: Command) -> Answer:
         """Carry out a request.
@@ -368,13 +393,14 @@ class Client:
         if isinstance(samples, Failure):
             return samples
         playing.state_of(self.number)
-        consumed, queued = await playing.request(
-            commands.AppendSamples(
-                self.number, np.float32(command.amplitude_um * 1e-6) * samples,
-                command.sample_rate_hz, command.contactors, command.append,
-            )
+        if failure := self._begin_failure(command.begin):
+            return failure
+        order = commands.AppendSamples(
+            self.number, np.float32(command.amplitude_um * 1e-6) * samples,
+            command.sample_rate_hz, command.contactors, command.append,
         )  # fmt: skip
-        self._sounds_until = max(self._sounds_until, loop_time() + queued + ENDING)
+        consumed, queued = await playing.request(playing.stimuli.timed(order, command.begin))
+        self._sound(queued + ENDING, command.begin)
         return m.AppendedReply(samples_consumed=int(consumed), buffered_ms=1e3 * queued)
 
     async def _effect(self, playing: Playing, command: m.PlayEffect) -> Answer:
@@ -392,8 +418,11 @@ class Client:
         for name, rows in (("amplitude", curve.amplitude), ("frequency", curve.frequency)):
             if np.any(np.diff(rows[:, 0]) < 0):
                 return failed("invalid_field", "times must not descend", field=name)
-        await playing.request(commands.BeginEffect(self.number, curve))
-        self._sounds_until = max(self._sounds_until, loop_time() + curve.end + ENDING)
+        if failure := self._begin_failure(command.begin):
+            return failure
+        order = playing.stimuli.timed(commands.BeginEffect(self.number, curve), command.begin)
+        await playing.request(order)
+        self._sound(curve.end + ENDING, command.begin)
         return m.Done()
 
     async def _named_effect(self, playing: Playing, command: m.PlayNamedEffect) -> Answer:
@@ -405,13 +434,14 @@ class Client:
         if failure is not None:
             return failure
         playing.state_of(self.number)
-        _, queued = await playing.request(
-            commands.AppendSamples(
-                self.number, np.float32(command.gain) * effect.shear, SAMPLE_RATE, (),
-                append=False, longest=LONGEST_EFFECT,
-            )
+        if failure := self._begin_failure(command.begin):
+            return failure
+        order = commands.AppendSamples(
+            self.number, np.float32(command.gain) * effect.shear, SAMPLE_RATE, (),
+            append=False, longest=LONGEST_EFFECT,
         )  # fmt: skip
-        self._sounds_until = max(self._sounds_until, loop_time() + queued + ENDING)
+        _, queued = await playing.request(playing.stimuli.timed(order, command.begin))
+        self._sound(queued + ENDING, command.begin)
         return m.Done()
 
     @staticmethod

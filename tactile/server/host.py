@@ -135,7 +135,7 @@ class Host:
             latches = await _latches(self._config.display, {}, self._clock)
             for config, latch in latches.items():
                 self.playing[config.name] = Playing(
-                    config, latch, self._preparation_queue, self._broadcast, self._config
+                    config, latch, self._preparation_queue, self._post, self._config
                 )
             await self._desk.start({name: playing.latch for name, playing in self.playing.items()})
             await self._inherit(latches)
@@ -213,7 +213,7 @@ class Host:
         await asyncio.gather(*(playing.end() for playing in before.values()))
         for entry, latch in latches.items():
             after[entry.name] = Playing(
-                entry, latch, self._preparation_queue, self._broadcast, self._config
+                entry, latch, self._preparation_queue, self._post, self._config
             )
         self.playing = {entry.name: after[entry.name] for entry in config.display}
         for playing in before.values():
@@ -355,6 +355,13 @@ class Host:
         for playing in self.playing.values():
             if playing.owners.clients:
                 self.run(playing.disarm)
+
+    def _post(self, message: EventMessage | m.OnsetMessage, client: int | None) -> None:
+        """Post a message to a client, or an event to all."""
+        if isinstance(message, EventMessage):
+            self._broadcast(message)
+        elif client in self._clients:
+            self._clients[client].post(message)
 
     def _broadcast(self, event: EventMessage) -> None:
         """Post an event to all clients; touches only to those with telemetry of the display."""

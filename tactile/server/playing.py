@@ -20,11 +20,13 @@ from tactile.errors import BusError
 from tactile.estop.latch import Latch
 from tactile.messages import (
     ArmDisplay,
+    BeginAt,
     ClearEstop,
     DisarmDisplay,
     DisplayDescription,
     EventMessage,
     Layer,
+    OnsetMessage,
 )
 from tactile.playback import commands
 from tactile.playback.commands import DeviceOpened, News, Order, OrderAnswer, PlaybackSetup
@@ -43,6 +45,7 @@ from tactile.server.owners import CONFIGURATION, Owners
 from tactile.server.preparation_queue import PreparationQueue
 from tactile.server.preparing import Preparation, order_number
 from tactile.server.session_recording import SessionRecording
+from tactile.server.stimuli import Stimuli
 from tactile.server.tasks import start_task
 from tactile.server.texture_store import TextureStore
 from tactile.tracking.finger_sample import FingerSample
@@ -66,6 +69,8 @@ NO_CURRENTS = (
 MOST_FRAME_ORDERS = 64
 """Maximum number of messages of tactile frames of one client that wait for playback, which carries
 out 8 orders in each block."""
+TOO_FAST = "playback does not keep up with its orders"
+"""Reason why tactile frames are dropped."""
 SERVER = 0
 """Number of the client in whose place the server itself has textures prepared anew."""
 
@@ -104,7 +109,8 @@ class Playing:
     preparation_queue : PreparationQueue
         Queue that prepares textures.
     post : callable
-        Function that is called with each `EventMessage`.
+        Function that is called with each `EventMessage` or `OnsetMessage`, and with the number of
+        the client that it is for, None for all.
     whole : Configuration
         Configuration of the server: where sessions are recorded, and whether the finger is
         followed.
@@ -131,6 +137,8 @@ class Playing:
         Whether playback does not run: its device is not open yet, or its process died.
     session : SessionRecording
         Recording of what is played.
+    stimuli : Stimuli
+        Stimuli that begin at a time.
     child : Child or None
         Playback process.
     failure : str
@@ -142,7 +150,7 @@ class Playing:
         config: DisplayConfig,
         latch: Latch,
         preparation_queue: PreparationQueue,
-        post: Callable[[EventMessage], None],
+        post: Callable[[EventMessage | OnsetMessage, int | None], None],
         whole: Configuration,
     ) -> None:
         self.config = config
@@ -162,6 +170,7 @@ class Playing:
         self._pending: dict[int, asyncio.Future[tuple[float, ...]]] = {}
         self._waiting_frames: defaultdict[int, set[int]] = defaultdict(set)
         """Numbers of each client's orders of tactile frames that playback has not carried out."""
+        self.stimuli = Stimuli(config.name, post)
         self._number = 0
         self._device_opened: asyncio.Future[DeviceOpened] | None = None
         self._since = 0.0
@@ -250,6 +259,9 @@ class Playing:
                     future.set_exception(BusError(what.failure))
                 else:
                     future.set_result(what.value)
+        elif isinstance(what, list):
+            for report in what:
+                self.stimuli.report(report)
         elif isinstance(what, News):
             self._announce(what.kind, what.detail, contactors=what.contactors)
         else:
@@ -266,6 +278,7 @@ class Playing:
                 future.set_exception(BusError("playback was lost"))
         self._pending.clear()
         self._waiting_frames.clear()
+        self.stimuli.lose("playback was lost")
         if not self.lost and not self._ended.is_set():
             self.lost = True
             self._announce("lost", "playback died; it is started again")
@@ -281,7 +294,8 @@ class Playing:
             EventMessage(
                 display=self.config.name, kind=kind, detail=detail, estop=estop,
                 contactors=contactors,
-            )
+            ),
+            None,
         )  # fmt: skip
 
     async def _supervise(self) -> None:
@@ -358,18 +372,23 @@ class Playing:
         BusError
             If the order cannot be carried out, with the reason.
         """
-        if self.child is None or self.lost:
-            raise BusError(self.failure or "playback was lost")
         future: asyncio.Future[tuple[float, ...]] = asyncio.get_running_loop().create_future()
-        number = self._send(self.child, order)
-        self._pending[number] = future
+        number = None
         try:
+            if self.child is None or self.lost:
+                raise BusError(self.failure or "playback was lost")
+            number = self._send(self.child, order)
+            self._pending[number] = future
             async with asyncio.timeout(ANSWER):
                 return await future
+        except BusError:
+            self.stimuli.forget(order)
+            raise
         except TimeoutError:
             raise BusError(f"playback did not answer in {ANSWER:g} s") from None
         finally:
-            self._pending.pop(number, None)
+            if number is not None:
+                self._pending.pop(number, None)
 
     def _send(self, child: Child, order: Order) -> int:
         """Send an order to playback, and return its number.
@@ -384,23 +403,30 @@ class Playing:
         child.send((self._number, order))
         return self._number
 
-    def add_frames(self, frames: commands.AddFrames) -> None:
+    def add_frames(self, frames: commands.AddFrames, begin: BeginAt | None = None) -> None:
         """Add tactile frames, without waiting; they are counted if they cannot be played now.
 
         Parameters
         ----------
         frames : AddFrames
             Frames of a client.
+        begin : BeginAt or None
+            Time at which the first of them is to be played, in a stream of its own.
         """
         self.state_of(frames.client)
         waiting = self._waiting_frames[frames.client]
-        if self.child is None or self.state != "armed" or len(waiting) >= MOST_FRAME_ORDERS:
+        order = self.stimuli.timed(frames, begin)
+        reason = "" if self.state == "armed" else "the display was not armed"
+        if self.child is None or len(waiting) >= MOST_FRAME_ORDERS:
+            reason = reason or TOO_FAST
+        if not reason and self.child is not None:
+            try:
+                waiting.add(self._send(self.child, order))
+            except BusError:
+                reason = TOO_FAST
+        if reason:
             self._dropped_frames += len(frames.frames)
-            return
-        try:
-            waiting.add(self._send(self.child, frames))
-        except BusError:  # playback does not keep up with its orders
-            self._dropped_frames += len(frames.frames)
+            self.stimuli.miss(order, reason)
 
     # High voltage
 

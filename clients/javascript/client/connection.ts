@@ -18,6 +18,7 @@ import type {
   Effects,
   EventMessage,
   Failure,
+  OnsetMessage,
   Pong,
   StatsReply,
   TactileFrames,
@@ -120,6 +121,7 @@ interface Waiting {
 interface Listened {
   state: Connection;
   event: EventMessage;
+  onset: OnsetMessage;
   failure: Failure;
 }
 
@@ -160,6 +162,7 @@ export class Connection {
   private readonly listeners: { [K in keyof Listened]: Set<(value: Listened[K]) => void> } = {
     state: new Set(),
     event: new Set(),
+    onset: new Set(),
     failure: new Set(),
   };
 
@@ -246,8 +249,8 @@ export class Connection {
   }
 
   /**
-   * Call a function with each change of the state, each event, or each failure that answers no
-   * request, such as that of a contact that cannot be used.
+   * Call a function with each change of the state, each event, each report on what was to begin at
+   * a time, or each failure that answers no request, such as that of a contact that cannot be used.
    *
    * @returns Function that ends it.
    */
@@ -461,6 +464,8 @@ export class Connection {
       if (answer.kind === "estopped") this.setEstop(answer.display, answer.estop ?? 0);
       if (answer.kind === "cleared") this.setEstop(answer.display, 0);
       this.notify("event", answer);
+    } else if (answer.type === "onset") {
+      this.notify("onset", answer);
     } else if (answer.id === undefined || answer.id === null) {
       if (answer.type === "failure") this.notify("failure", answer);
       else this.giveUp(`the server sends ${answer.type} without an id`);
@@ -483,7 +488,7 @@ export class Connection {
       this.ignoredMessages += 1;
       const message = text;
       this.answered({ type: "failure", id: id as number, code: "internal", message });
-    } else if (isKnown(type) && !["event", "telemetry"].includes(type) && !Number.isInteger(id)) {
+    } else if (isKnown(type) && !["event", "onset", "telemetry"].includes(type) && !Number.isInteger(id)) {
       this.giveUp(text);
     } else {
       this.ignoredMessages += 1;
@@ -501,7 +506,7 @@ export class Connection {
     if (memory) memory.estop = estop;
   }
 
-  private answered(answer: Exclude<Answer, { type: "telemetry" | "event" }> & { id: number }) {
+  private answered(answer: Exclude<Answer, { type: "telemetry" | "event" | "onset" }> & { id: number }) {
     const { id } = answer;
     const waiting = this.waiting.get(id);
     if (waiting === undefined) return;

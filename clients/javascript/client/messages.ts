@@ -220,6 +220,31 @@ export interface SetGain {
 }
 
 /**
+ * Time at which a waveform, an effect or tactile frames are to begin.
+ *
+ * It begins with the sample that is nearest to the time. What became of it, an `OnsetMessage`
+ * reports, unless the answer was a failure.
+ */
+export interface BeginAt {
+  /**
+   * Time of the server's monotonic clock at which the first sample is to be put out, at most
+   * 60 s ahead [µs].
+   */
+  at_us: number;
+  /**
+   * Whether it is dropped if that is not possible, because the time has passed or the contactors
+   * still play a waveform of this client. If not, it begins as soon as possible.
+   * @default false
+   */
+  drop_late?: boolean;
+  /**
+   * Number chosen by the client, which the `OnsetMessage` repeats.
+   * @default 0
+   */
+  mark?: number;
+}
+
+/**
  * Queue a waveform of tangential shear; requires the role "play" and an armed display.
  *
  * It follows XR_FB_haptic_pcm: samples that do not fit in the client's buffer are not taken.
@@ -253,6 +278,11 @@ export interface Append {
    * @default []
    */
   contactors?: number[];
+  /**
+   * Time at which it is to begin; null for as soon as the contactors are free. Of a waveform
+   * that has a time, a second is taken, and what is appended without one does not wait for it.
+   */
+  begin?: BeginAt | null;
 }
 
 /**
@@ -288,6 +318,12 @@ export interface TactileFrames {
    * @default false
    */
   latest?: boolean;
+  /**
+   * Time at which the first of the frames is to be played, in a stream that replaces the one
+   * before; null for frames that continue a stream: one of the same rate that waits for its
+   * time, else the one that plays.
+   */
+  begin?: BeginAt | null;
 }
 
 /** Amplitude at a time, an array [time_ms, value]; linear between points. */
@@ -356,6 +392,8 @@ export interface PlayEffect {
    * @default false
    */
   stream?: boolean;
+  /** Time at which it is to begin; null for at once. */
+  begin?: BeginAt | null;
 }
 
 /** Ask for all effects that can be played by name; answered by `Effects`. */
@@ -384,6 +422,8 @@ export interface PlayNamedEffect {
    * @default 1.0
    */
   gain?: number;
+  /** Time at which it is to begin; null for at once. */
+  begin?: BeginAt | null;
 }
 
 /**
@@ -743,6 +783,36 @@ export interface EventMessage {
   contactors?: number[];
 }
 
+/**
+ * Report on a waveform, an effect or tactile frames that were to begin at a time.
+ *
+ * It comes a third of a second after that, when the amplifier has reported what it put out.
+ */
+export interface OnsetMessage {
+  type: "onset";
+  /** Name of the display. */
+  display: string;
+  /** Number that the client gave it in `BeginAt`. */
+  mark: number;
+  /** Time at which it was to begin, as in `BeginAt` [µs]. */
+  at_us: number;
+  /**
+   * Time of the server's monotonic clock at which its first sample was put out, by the clock of
+   * the amplifier; null if it was not [µs].
+   */
+  onset_us: number | null;
+  /**
+   * Half of the interval around `onset_us` that holds the true time; null if it is not known,
+   * as on a sound card [µs].
+   */
+  uncertainty_us: number | null;
+  /**
+   * Reason in one line why it did not begin, or not at its time; empty if it did.
+   * @default ""
+   */
+  reason?: string;
+}
+
 /** Loads of a finger on the contactors, as playback finds them from their currents. */
 export interface TelemetryFinger {
   /** Whether a finger is on each contactor. */
@@ -861,4 +931,5 @@ export type Answer =
   | StatsReply
   | Failure
   | EventMessage
+  | OnsetMessage
   | TelemetryMessage;

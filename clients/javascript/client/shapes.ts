@@ -35,6 +35,7 @@ export const ANSWERS: Readonly<Record<string, string>> = {
   stats: "StatsReply",
   failure: "Failure",
   event: "EventMessage",
+  onset: "OnsetMessage",
   telemetry: "TelemetryMessage",
 };
 
@@ -145,6 +146,18 @@ export const SHAPES: Readonly<Record<string, Shape>> = {
       detail: "string",
       estop: "integer",
       contactors: { list: "integer" },
+    },
+  },
+  OnsetMessage: {
+    required: {
+      display: "string",
+      mark: "integer",
+      at_us: "integer",
+      onset_us: { anyOf: ["number", "null"] },
+      uncertainty_us: { anyOf: ["number", "null"] },
+    },
+    optional: {
+      reason: "string",
     },
   },
   TelemetryMessage: {

@@ -67,6 +67,7 @@ export class Connection {
         this.listeners = {
             state: new Set(),
             event: new Set(),
+            onset: new Set(),
             failure: new Set(),
         };
         this.url = options.url ?? ownServer();
@@ -147,8 +148,8 @@ export class Connection {
         return (await this.request({ type: "estop" })).estops ?? {};
     }
     /**
-     * Call a function with each change of the state, each event, or each failure that answers no
-     * request, such as that of a contact that cannot be used.
+     * Call a function with each change of the state, each event, each report on what was to begin at
+     * a time, or each failure that answers no request, such as that of a contact that cannot be used.
      *
      * @returns Function that ends it.
      */
@@ -363,6 +364,9 @@ export class Connection {
                 this.setEstop(answer.display, 0);
             this.notify("event", answer);
         }
+        else if (answer.type === "onset") {
+            this.notify("onset", answer);
+        }
         else if (answer.id === undefined || answer.id === null) {
             if (answer.type === "failure")
                 this.notify("failure", answer);
@@ -389,7 +393,7 @@ export class Connection {
             const message = text;
             this.answered({ type: "failure", id: id, code: "internal", message });
         }
-        else if (isKnown(type) && !["event", "telemetry"].includes(type) && !Number.isInteger(id)) {
+        else if (isKnown(type) && !["event", "onset", "telemetry"].includes(type) && !Number.isInteger(id)) {
             this.giveUp(text);
         }
         else {

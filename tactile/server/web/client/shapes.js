@@ -14,6 +14,7 @@ export const ANSWERS = {
     stats: "StatsReply",
     failure: "Failure",
     event: "EventMessage",
+    onset: "OnsetMessage",
     telemetry: "TelemetryMessage",
 };
 /** Shapes by name. */
@@ -122,6 +123,18 @@ export const SHAPES = {
             detail: "string",
             estop: "integer",
             contactors: { list: "integer" },
+        },
+    },
+    OnsetMessage: {
+        required: {
+            display: "string",
+            mark: "integer",
+            at_us: "integer",
+            onset_us: { anyOf: ["number", "null"] },
+            uncertainty_us: { anyOf: ["number", "null"] },
+        },
+        optional: {
+            reason: "string",
         },
     },
     TelemetryMessage: {

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from tactile.bus.base import DriveBlock as DriveBlock
     from tactile.bus.base import DriveFrame as DriveFrame
     from tactile.client.connection import connect as connect
+    from tactile.client.onsets import At as At
     from tactile.devices import find_devices as find_devices
     from tactile.devices import open_bus as open_bus
     from tactile.display.display import Display as Display
@@ -89,6 +90,7 @@ _HOMES = {
     "actuator.response": ("TipResponse", "blocked_force", "chain_response", "tip_response"),
     "bus.base": ("DriveBlock", "DriveFrame"),
     "client.connection": ("connect",),
+    "client.onsets": ("At",),
     "devices": ("find_devices", "open_bus"),
     "display.display": ("Display", "load_display"),
     "errors": (

@@ -92,6 +92,11 @@ class LocalTransport:
         finally:
             await host.close()
 
+    @property
+    def is_local(self) -> bool:
+        """Whether the server is on this machine: it is in this process."""
+        return True
+
     def open(self, session: ClientSession) -> None:
         """Open the connection to the host.
 

@@ -286,6 +286,7 @@ def opened_session() -> tuple[ClientSession, list[Any]]:
     kept: list[Any] = []
 
     class Nowhere:
+        is_local = True
         open: Any = None
         close: Any = Future
         send = staticmethod(kept.append)

@@ -61,6 +61,20 @@ def test_the_servers_unix_socket_comes_first(
         server.close()
 
 
+@pytest.mark.parametrize(
+    ("url", "local"),
+    [
+        ("ws+unix:///run/tactile.socket", True),
+        ("ws://localhost:7411/v1", True),
+        ("ws://[::1]:7411/v1", True),
+        ("ws://192.168.0.7:7411/v1", False),
+        ("wss://localhost.example.org/v1", False),
+    ],
+)
+def test_an_address_says_whether_it_is_of_this_machine(url: str, local: bool) -> None:
+    assert address.is_local(address.endpoint(url)) == local
+
+
 @pytest.mark.parametrize("url", ["127.0.0.1:7411", "http://127.0.0.1", "ws://", "ws://a:b"])
 def test_an_address_that_is_none(url: str) -> None:
     with pytest.raises(InputError, match="url "):

@@ -48,6 +48,8 @@ class Schedule(RuleBasedStateMachine):
 
     # The transport
 
+    is_local = True
+
     def open(self, session: ClientSession) -> None:
         raise NotImplementedError
 

@@ -2,6 +2,7 @@
 
 import itertools
 import struct
+import time
 from array import array
 from typing import Any
 
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from tactile import client
 from tactile import messages as m
 from tactile.client.taxels import Extent, TaxelGrid, default_extent, to_grid
-from tactile.errors import InputError
+from tactile.errors import ClientError, InputError
 
 SQUARE = tuple((2e-3 * x, 2e-3 * y) for y in range(4) for x in range(6))
 """Contactors in four rows of six, 2 mm apart, the lowest row first [m]."""
@@ -118,6 +119,10 @@ def test_frames_without_a_server_are_counted(script: Script, server: ScriptedSer
         for _ in range(3):
             frames.write([0.0, 0.0])
         assert display.connection.counters["dropped_frames"] == 3
+        at = client.At(time.monotonic())
+        frames.write([0.0, 0.0], at=at)
+        with pytest.raises(ClientError, match="not sent in time"):
+            at.onset(PATIENCE)
 
 
 def test_a_refused_frame_is_an_event(remote: Any, script: Script, server: ScriptedServer) -> None:

@@ -23,6 +23,8 @@ class LocalTransport:
         self.script = script
         self.heard: list[Any] = []
 
+    is_local = True
+
     def open(self, session: ClientSession) -> None:
         self._session = session
         session.say_hello()

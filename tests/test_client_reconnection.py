@@ -162,3 +162,28 @@ def test_the_quickest_exchange_tells_the_clocks_best() -> None:
     clock.exchange(4.0, 14.9, 5.0)
     assert clock.seconds == pytest.approx(10.0)
     assert clock.round_trip == pytest.approx(0.1)
+    assert clock.uncertainty(3.1) == pytest.approx(0.05)
+
+
+def test_an_exchange_is_the_less_certain_the_older_it_is() -> None:
+    """Two crystals drift from each other by up to 100 µs in a second."""
+    clock = ClockOffset()
+    clock.exchange(1.0, 11.0001, 1.0002)
+    assert clock.uncertainty(2.0002) == pytest.approx(200e-6)
+    clock.exchange(3.0, 13.0003, 3.0004)
+    assert clock.seconds == pytest.approx(10.0001)
+    assert clock.uncertainty(3.0004) == pytest.approx(200e-6)
+    assert clock.round_trip == pytest.approx(200e-6)
+
+
+def test_the_clock_of_this_machine_is_ours_unless_an_exchange_proves_the_opposite() -> None:
+    """The address of this machine may be the end of a tunnel to another."""
+    clock = ClockOffset(same_machine=True)
+    for sent, theirs, received in [(1.0, 1.999999, 2.0), (3.0, 3.0, 3.1), (4.0, 4.9, 5.0)]:
+        clock.exchange(sent, theirs, received)
+    assert (clock.seconds, clock.uncertainty(9.0)) == (0.0, 1e-6)
+    clock.exchange(6.0, 6.10001, 6.1)  # their answer came before they had sent it
+    assert clock.seconds == pytest.approx(0.05001)
+    assert clock.uncertainty(6.1) == pytest.approx(0.05)
+    clock.exchange(7.0, 7.05, 7.1)
+    assert not clock.same_machine

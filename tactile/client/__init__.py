@@ -21,6 +21,8 @@ from tactile.client.connection import open_connection as open_connection
 from tactile.client.display import BaseDisplay as BaseDisplay
 from tactile.client.display import RemoteDisplay as RemoteDisplay
 from tactile.client.frames import FrameWriter as FrameWriter
+from tactile.client.onsets import At as At
+from tactile.client.onsets import Onset as Onset
 from tactile.client.telemetry import TelemetryStream as TelemetryStream
 from tactile.client.transport import Transport as Transport
 from tactile.client.wire import Appended as Appended

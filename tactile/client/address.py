@@ -12,6 +12,8 @@ PORT = 7411
 """Port that a server listens on by default."""
 EXAMPLE_URL = f"ws://127.0.0.1:{PORT}{PATH}"
 """Address of a server on this machine, which messages show as an example."""
+LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+"""Names of this machine on its loopback interface."""
 UNIX = "ws+unix://"
 """Prefix of the address of a Unix socket; its path follows."""
 
@@ -64,6 +66,22 @@ def endpoint(url: str | None) -> str:
     where = parts.netloc if port or parts.scheme == "wss" else f"{parts.netloc}:{PORT}"
     path = parts.path if parts.path.strip("/") else PATH
     return parts._replace(netloc=where, path=path).geturl()
+
+
+def is_local(url: str) -> bool:
+    """Return whether a server is on this machine, as far as its address says.
+
+    Parameters
+    ----------
+    url : str
+        Address of the server.
+
+    Returns
+    -------
+    bool
+        Whether it is that of a Unix socket or of the loopback interface.
+    """
+    return url.startswith(UNIX) or urlsplit(url).hostname in LOOPBACK
 
 
 def secret(token: str | None) -> str:

@@ -8,23 +8,31 @@ the message and reads the reply. It works on either display, as its ``self`` say
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
 
 from tactile import messages
 from tactile.client import wire
 from tactile.client.base import BaseConnection
 from tactile.client.events import Callback, as_callback
 from tactile.client.frames import FrameWriter
+from tactile.client.onsets import At
 from tactile.client.taxels import to_grid
 from tactile.client.telemetry import AsyncTelemetryStream, TelemetryStream
 from tactile.client.waiting import AsyncClosing, Closing, blocking
 from tactile.client.waveform import Waveform, pause_after
 from tactile.errors import ClientTimeoutError, InputError, NotFoundError
-from tactile.messages import Done, EffectInfo, Request, TextureInfo
+from tactile.messages import Done, EffectInfo, Reply, Request, TextureInfo
 
 if TYPE_CHECKING:
     from tactile.client.connection import AsyncConnection, Connection
 
+R = TypeVar("R", bound=Reply)
+Beginning = messages.Append | messages.PlayEffect | messages.PlayNamedEffect
+"""Request for what may begin at a time."""
+DECIDED = 0.05
+"""Time in which it becomes known that a stimulus whose time has come is dropped [s]."""
 NORMAL_FORCE = 0.5
 """Normal force where a program knows only that there is contact [N]. Assumed: light exploration."""
 
@@ -189,12 +197,26 @@ class BaseDisplay:
         contactors = self.info.contactors
         taxels = None if grid is None else to_grid(grid, contactors, extent)
         message = wire.to_frames(self.name, rate, amplitude, latest=latest)
-        send = self._connection._session.send_streamed
-        return FrameWriter(send, message, len(contactors), taxels)
+        return FrameWriter(self._connection._session, message, len(contactors), taxels)
 
     async def _do(self, request: Request, timeout: float | None) -> None:
         """Send a request that is answered by `Done`."""
         await self._connection._request(request, Done, timeout)
+
+    async def _request_at(
+        self, message: Beginning, at: float | At | None, kind: type[R], timeout: float | None
+    ) -> R:
+        """Send a request for a stimulus that begins at a time, and return its reply."""
+        onsets = self._connection._session.onsets
+        begin = onsets.begin(at)
+        try:
+            timed: Any = msgspec.structs.replace(message, begin=begin)
+            return await self._connection._request(timed, kind, timeout)
+        except ClientTimeoutError:
+            raise  # it may be played, and is reported then
+        except Exception as error:
+            onsets.refused(begin, error)
+            raise
 
     def _touch(
         self,
@@ -384,6 +406,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         sample_rate: float,
         amplitude: float,
         contactors: Iterable[int] = (),
+        at: float | At | None = None,
         timeout: float | None = None,
     ) -> wire.Appended:
         """Send one message of a waveform, as XR_FB_haptic_pcm does.
@@ -400,6 +423,9 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
             Shear of a sample of 1 [m].
         contactors : iterable of int
             Contactors that play it, by default all.
+        at : float or At, optional
+            Time on the clock of `time.monotonic` at which it is to begin, at most 60 s ahead [s].
+            An `At` also says what became of it.
         timeout : float, optional
             Longest wait for the answer [s].
 
@@ -415,7 +441,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         message = waveform.message()
         if message is None:
             return wire.Appended(0, 0.0)
-        reply = await self._connection._request(message, messages.AppendedReply, timeout)
+        reply = await self._request_at(message, at, messages.AppendedReply, timeout)
         return wire.from_message(wire.Appended, reply)
 
     async def play(
@@ -425,6 +451,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         sample_rate: float,
         amplitude: float,
         contactors: Iterable[int] = (),
+        at: float | At | None = None,
         timeout: float | None = None,
     ) -> int:
         """Play a waveform in place of what waits for its contactors.
@@ -442,6 +469,9 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
             Shear of a sample of 1 [m].
         contactors : iterable of int
             Contactors that play it, by default all.
+        at : float or At, optional
+            Time on the clock of `time.monotonic` at which it is to begin, at most 60 s ahead [s].
+            An `At` also says what became of it.
         timeout : float, optional
             Longest wait for each answer, and for the server to take any sample [s].
 
@@ -461,10 +491,18 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         )
         connection = self._connection
         limit, clock = connection._patience(timeout), connection._session.clock
-        count, progress = 0, clock.now()
+        count, progress, begun = 0, clock.now(), False
+        begin = at if at is None or isinstance(at, At) else At(at)
         with self._play(waveform.contactors) as play:
             while not play.is_over and (message := waveform.message()) is not None:
-                reply = await connection._request(message, messages.AppendedReply, timeout)
+                if begin is not None and count and not begun:
+                    # the rest follows the first part, once that is known to have begun
+                    await connection._sleep(max(begin.time - clock.now(), DECIDED))
+                    progress, begun = clock.now(), True
+                    if begin.dropped or play.is_over:
+                        break
+                first = None if count else begin
+                reply = await self._request_at(message, first, messages.AppendedReply, timeout)
                 appended = wire.from_message(wire.Appended, reply)
                 waveform.consume(appended.samples_consumed)
                 if appended.samples_consumed:
@@ -484,6 +522,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         frequency_points: Iterable[tuple[float, float]] = (),
         transients: Iterable[tuple[float, ...]] = (),
         stream: bool = False,
+        at: float | At | None = None,
         timeout: float | None = None,
     ) -> None:
         """Play amplitude and frequency over time, as XR_EXT_haptic_parametric.
@@ -500,16 +539,24 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
             Taps: time [s], amplitude, and frequency [Hz] if it is not 160 Hz.
         stream : bool
             Whether the effect continues the last one.
+        at : float or At, optional
+            Time on the clock of `time.monotonic` at which it is to begin, at most 60 s ahead [s].
+            An `At` also says what became of it.
         timeout : float, optional
             Longest wait for the answer [s].
         """
         effect = wire.to_effect(
             self.name, amplitude, amplitude_points, frequency_points, transients, stream
         )
-        await self._do(effect, timeout)
+        await self._request_at(effect, at, Done, timeout)
 
     async def play_effect(
-        self: BaseDisplay, name: str, *, gain: float = 1.0, timeout: float | None = None
+        self: BaseDisplay,
+        name: str,
+        *,
+        gain: float = 1.0,
+        at: float | At | None = None,
+        timeout: float | None = None,
     ) -> None:
         """Play an effect of the server's folder, in place of the waveform that waits.
 
@@ -519,12 +566,15 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
             Name of an effect, as in `effects`.
         gain : float
             Factor, 0 … 1.
+        at : float or At, optional
+            Time on the clock of `time.monotonic` at which it is to begin, at most 60 s ahead [s].
+            An `At` also says what became of it.
         timeout : float, optional
             Longest wait for the answer [s].
         """
         number = wire.to_number(gain, "gain")
         message = messages.PlayNamedEffect(display=self.name, effect=name, gain=number)
-        await self._do(message, timeout)
+        await self._request_at(message, at, Done, timeout)
 
     async def effects(self: BaseDisplay, *, timeout: float | None = None) -> tuple[EffectInfo, ...]:
         """Return the effects that may be played by name.
@@ -547,9 +597,10 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         amplitude: float,
         *,
         frequency: float = 160.0,
+        at: float | At | None = None,
         timeout: float | None = None,
     ) -> None:
-        """Play one tap now.
+        """Play one tap, by default now.
 
         Parameters
         ----------
@@ -557,11 +608,14 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
             Shear of the tap [m].
         frequency : float
             Frequency [Hz].
+        at : float or At, optional
+            Time on the clock of `time.monotonic` at which it is to begin, at most 60 s ahead [s].
+            An `At` also says what became of it.
         timeout : float, optional
             Longest wait for the answer [s].
         """
         tap = (0.0, 1.0, frequency)
-        await AsyncDisplay.effect(self, amplitude, transients=[tap], timeout=timeout)
+        await AsyncDisplay.effect(self, amplitude, transients=[tap], at=at, timeout=timeout)
 
     async def stats(self: BaseDisplay, *, timeout: float | None = None) -> wire.Stats:
         """Return the state of the display.

@@ -2,11 +2,12 @@
 
 import sys
 from array import array
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
+from tactile.client.onsets import At
+from tactile.client.session import ClientSession
 from tactile.client.taxels import TaxelGrid, flattened
 from tactile.client.wire import excerpt
 from tactile.errors import InputError
@@ -18,8 +19,8 @@ class FrameWriter:
 
     Parameters
     ----------
-    send : Callable
-        Function that sends a message without waiting.
+    session : ClientSession
+        Session that sends the frames.
     message : TactileFrames
         Message of each frame, but for its ``frames``.
     contactors : int
@@ -30,15 +31,15 @@ class FrameWriter:
 
     def __init__(
         self,
-        send: Callable[[TactileFrames], None],
+        session: ClientSession,
         message: TactileFrames,
         contactors: int,
         grid: TaxelGrid | None,
     ) -> None:
-        self._send, self._message, self._grid = send, message, grid
+        self._session, self._message, self._grid = session, message, grid
         self._values = contactors if grid is None else grid.taxels
 
-    def write(self, frame: Any) -> None:
+    def write(self, frame: Any, *, at: float | At | None = None) -> None:
         """Send one frame; this never waits, whatever the network does.
 
         Frames that are not sent in time are counted as ``dropped_frames`` of the connection, those
@@ -49,6 +50,10 @@ class FrameWriter:
         frame : (N,) or (rows, columns) sequence of float
             Value from −1 to 1 of each contactor, or of each taxel of the grid, row by row from the
             largest y. Any sequence, or array of numbers, will do.
+        at : float or At, optional
+            Time on the clock of `time.monotonic` at which this frame is to be played, at most 60 s
+            ahead, in a stream that replaces the one before [s]. An `At` also says what became of
+            it.
 
         Raises
         ------
@@ -67,4 +72,6 @@ class FrameWriter:
         data = array("f", values if self._grid is None else self._grid.frame(values))
         if sys.byteorder == "big":
             data.byteswap()
-        self._send(msgspec.structs.replace(self._message, frames=data.tobytes()))
+        begin = self._session.onsets.begin(at)
+        message = msgspec.structs.replace(self._message, frames=data.tobytes(), begin=begin)
+        self._session.send_streamed(message)

@@ -18,6 +18,7 @@ import msgspec
 
 from tactile.client import wire
 from tactile.client.desired_state import DesiredState, EStops
+from tactile.client.onsets import Onsets
 from tactile.client.telemetry_queue import TelemetryQueue
 from tactile.client.transport import Transport
 from tactile.clock import Clock
@@ -39,6 +40,7 @@ from tactile.messages import (
     EStop,
     EventMessage,
     Failure,
+    OnsetMessage,
     Ping,
     Pong,
     Reply,
@@ -56,6 +58,10 @@ from tactile.messages import (
 
 MOST_WAITING = 256
 """Maximum number of requests that wait for an answer at a time."""
+MICROSECOND = 1e-6
+"""Resolution of times in messages [s]."""
+DRIFT = 100e-6
+"""Largest difference of the rates of two machines' clocks (assumed: ±50 ppm of each crystal)."""
 QUIETER = StopPlaying | DisarmDisplay | EStop
 """Requests that are never too many, and are sent even if nobody waits for the answer any more."""
 RAISING = ArmDisplay | ClearEstop | Resume
@@ -91,7 +97,14 @@ def refusal(failure: Failure) -> RequestError:
 
 @dataclass
 class ClockOffset:
-    """Offset between two clocks, from the quickest of the last exchanges, which is the best.
+    """Offset between two clocks, from the best of the last exchanges.
+
+    Parameters
+    ----------
+    same_machine : bool
+        Whether both are on one machine, as far as is known. They are then the same clock, unless an
+        exchange proves the opposite, as it does if the address leads through a tunnel to another
+        machine.
 
     Attributes
     ----------
@@ -101,9 +114,10 @@ class ClockOffset:
         Duration of the quickest exchange [s].
     """
 
+    same_machine: bool = False
     seconds: float = 0.0
     round_trip: float = 0.0
-    _exchanges: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
+    _exchanges: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=8))
 
     def exchange(self, sent: float, theirs: float, received: float) -> None:
         """Take one exchange.
@@ -117,8 +131,34 @@ class ClockOffset:
         received : float
             Time at which the answer came on our clock [s].
         """
-        self._exchanges.append((received - sent, theirs - (sent + received) / 2))
-        self.round_trip, self.seconds = min(self._exchanges)
+        self._exchanges.append((received, received - sent, theirs - (sent + received) / 2))
+        self.round_trip = min(trip for _, trip, _ in self._exchanges)
+        self.same_machine &= abs(self._exchanges[-1][2]) <= (received - sent) / 2 + MICROSECOND
+        best = min(self._exchanges, key=lambda exchange: self._uncertainty_of(exchange, received))
+        self.seconds = 0.0 if self.same_machine else best[2]
+
+    @staticmethod
+    def _uncertainty_of(exchange: tuple[float, float, float], now: float) -> float:
+        """Return how far the offset of an exchange may be wrong at a later time [s]."""
+        received, trip, _ = exchange
+        return trip / 2 + DRIFT * (now - received)
+
+    def uncertainty(self, now: float) -> float:
+        """Return half of the interval around `seconds` that holds the true offset.
+
+        Parameters
+        ----------
+        now : float
+            Time on our clock [s].
+
+        Returns
+        -------
+        float
+            Half of the interval; 0 before the first exchange [s].
+        """
+        if self.same_machine:
+            return MICROSECOND
+        return min((self._uncertainty_of(one, now) for one in self._exchanges), default=0.0)
 
 
 class ClientSession:
@@ -155,6 +195,8 @@ class ClientSession:
         Why there is no connection.
     offset : ClockOffset
         Offset of the server's clock from the program's.
+    onsets : Onsets
+        Stimuli whose onsets are not known yet.
     counters : Counter
         Counts by name, as in `BaseConnection.counters`.
     dropped_contacts : Counter
@@ -184,7 +226,10 @@ class ClientSession:
         self.ready: Future[Welcome] = Future()
         self.connected = self.closed = self._final = False
         self.reason = "not connected yet"
-        self.offset = ClockOffset()
+        self.offset = ClockOffset(same_machine=transport.is_local)
+        self.onsets = Onsets(
+            clock, lambda: (self.offset.seconds, self.offset.uncertainty(clock.now()))
+        )
         self.counters: Counter[str] = Counter(
             dict.fromkeys(
                 ("dropped_contacts", "dropped_events", "dropped_frames", "dropped_telemetry",
@@ -394,6 +439,7 @@ class ClientSession:
         for command, future, _ in waiting:
             with suppress(InvalidStateError):
                 future.set_exception(self._disconnected(command, reason))
+        self.onsets.lost(reason)
         with suppress(InvalidStateError):
             self.ready.set_exception(DisconnectedError(reason))
         if was and not self.closed:
@@ -407,6 +453,8 @@ class ClientSession:
         message : Contact or TactileFrames
             Message.
         """
+        if isinstance(message, TactileFrames):
+            self.onsets.refused(message.begin, ClientError("the frame was not sent in time"))
         with self._lock:
             if isinstance(message, TactileFrames):
                 self.counters["dropped_frames"] += self._frame_count(message)
@@ -464,6 +512,8 @@ class ClientSession:
                         answer.kind, answer.display, answer.detail, answer.estop, answer.contactors
                     )
                 )
+            case OnsetMessage():
+                self.onsets.received(answer)
             case _:
                 self._answered(answer)
 
@@ -523,7 +573,7 @@ class ClientSession:
         self.notify(wire.Event("refused", detail=f"{failure.code}: {refusal(failure)}"))
 
     def _welcomed(self, welcome: Welcome, sent: float) -> None:
-        self.offset = ClockOffset()
+        self.offset = ClockOffset(same_machine=self._transport.is_local)
         self.offset.exchange(sent, welcome.time_us * 1e-6, self.clock.now())
         with self._lock:  # no other request comes between those that restore
             reconnected = self.welcome is not None

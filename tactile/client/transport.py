@@ -19,6 +19,11 @@ class Transport(Protocol):
     No method blocks or raises for what the network does: the session learns of that.
     """
 
+    @property
+    def is_local(self) -> bool:
+        """Whether the server is on this machine, as far as its address says."""
+        ...
+
     def open(self, session: "ClientSession") -> None:
         """Begin to connect; `ClientSession.say_hello` or `ClientSession.lost` is called then.
 

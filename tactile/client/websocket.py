@@ -20,7 +20,7 @@ from websockets.asyncio.client import ClientConnection, connect, unix_connect
 from websockets.exceptions import WebSocketException
 from websockets.typing import Subprotocol
 
-from tactile.client.address import UNIX
+from tactile.client.address import UNIX, is_local
 from tactile.client.outbox import Outbox
 from tactile.client.session import ClientSession
 from tactile.client.waiting import suspend
@@ -140,6 +140,11 @@ class WebSocketTransport(ABC):
         self._next_streamed = 0.0
         self._closed: Future[None] = Future()
         self._closed.set_running_or_notify_cancel()  # a waiter that gives up does not cancel it
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the server is on this machine, as far as its address says."""
+        return is_local(self._url)
 
     def open(self, session: ClientSession) -> None:
         """Begin to connect.

@@ -101,6 +101,17 @@ class Playing:
         """Put out one sample."""
         raise NotImplementedError
 
+    def reset(self) -> None:
+        """Set the registers as they are after power came."""
+        raise NotImplementedError
+
+    def power_cycle(self) -> None:
+        """Lose everything."""
+        self.run()
+        self.drop()
+        self.fifo.clear()
+        self.reset()
+
     def drop(self) -> None:
         """Go to 0 V whatever is played."""
         if self.volts:
@@ -119,13 +130,10 @@ class Drv2667Model(Playing):
     def __init__(self, time: Clock, rate: float = 8000.0, identity: int = 7) -> None:
         super().__init__(time, rate)
         self.identity = identity
-        self.power_cycle()
+        self.reset()
 
-    def power_cycle(self) -> None:
-        """Lose everything."""
-        self.run()
-        self.drop()
-        self.fifo.clear()
+    def reset(self) -> None:
+        """Set the registers as they are after power came."""
         self.control = {1: 0x38 & 0x07 | self.identity << 3, 2: 0x40}
         self._pointer, self._illegal = 0, False
         self._active_from: float | None = None
@@ -196,13 +204,10 @@ class Bos1921Model(Playing):
 
     def __init__(self, time: Clock, rate: float = 8000.0) -> None:
         super().__init__(time, rate)
-        self.power_cycle()
+        self.reset()
 
-    def power_cycle(self) -> None:
-        """Lose everything."""
-        self.run()
-        self.drop()
-        self.fifo.clear()
+    def reset(self) -> None:
+        """Set the registers as they are after power came."""
         self.registers = {0x05: 0x0007, 0x0B: 0x001E}
         self.error = False
 

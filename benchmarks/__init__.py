@@ -25,6 +25,7 @@ from benchmarks.fuzz_server import measure_fuzz_server
 from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
 from benchmarks.maps import measure_maps
+from benchmarks.onsets import measure_onsets, measure_onsets_long
 from benchmarks.optimize import measure_optimize
 from benchmarks.page import measure_page
 from benchmarks.page_fuzz import measure_page_fuzz
@@ -74,6 +75,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "travel": measure_travel,
     "latency": measure_latency,
     "tactile-frames": measure_tactile_frames,
+    "onsets": measure_onsets,
     "page": measure_page,
     "page-position": measure_page_position,
     "waves": measure_waves,
@@ -91,6 +93,7 @@ LONG: dict[str, Benchmark] = {
     "streams": partial(links.measure_streams, links.LONG),
     "latency-long": measure_latency_long,
     "tactile-frames-long": measure_tactile_frames_long,
+    "onsets-long": measure_onsets_long,
     "deaths-long": partial(deaths.measure_deaths, deaths.LONG),
     "estop-long": partial(estop.measure_estop, estop.LONG),
     "estop-play": estop.measure_estop_play,

@@ -85,7 +85,7 @@ class VirtualAmplifier:
     path : str
         Path of its pty.
     powered_up : float
-        Time on the monotonic clock at which its clock was 0; with a pty only [s].
+        Time on the monotonic clock at which its clock was 0 [s].
     """
 
     def __init__(self, folder: Path, *options: str, channels: int = 24) -> None:
@@ -96,10 +96,8 @@ class VirtualAmplifier:
         )
         urgent(self._process.pid)
         assert self._process.stdout is not None
-        self.path, self.powered_up = "", 0.0
-        if "--pty" in options:
-            self.path = self._process.stdout.readline().strip()
-            self.powered_up = float(self._process.stdout.readline().split()[-2])
+        self.path = self._process.stdout.readline().strip() if "--pty" in options else ""
+        self.powered_up = float(self._process.stdout.readline().split()[-2])
         self._kind = np.dtype(
             [("tick", "<u8"), ("at", "<u4"), ("state", "u1"), ("hv", "u1"), ("v", "<i2", channels)]
         )

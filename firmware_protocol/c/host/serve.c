@@ -171,6 +171,13 @@ static bool make_raw(int fd)
     return tcsetattr(fd, TCSANOW, &t) == 0;
 }
 
+/* Tell observers where the clock of the amplifier, which its records show, is 0. */
+static void print_power_up(void)
+{
+    printf("powered up at %lld.%09ld s\n", (long long)power_up.tv_sec, power_up.tv_nsec);
+    fflush(stdout);
+}
+
 /* The slave stays open here, so that a host may come and go. */
 bool virtual_serve_pty(virtual_amplifier *v)
 {
@@ -185,8 +192,8 @@ bool virtual_serve_pty(virtual_amplifier *v)
     }
     v->write_bytes = write_bytes;
     begin(v, KIND_SERIAL, &fd);
-    printf("%s\npowered up at %lld.%09ld s\n", path, (long long)power_up.tv_sec, power_up.tv_nsec);
-    fflush(stdout);
+    printf("%s\n", path);
+    print_power_up();
     serve(v, receive_bytes);
     close(slave);
     close(fd);
@@ -245,7 +252,9 @@ bool virtual_serve_can(virtual_amplifier *v, const char *path)
         return failed(path);
     }
     v->write_frame = write_frame;
-    virtual_serve(v, KIND_CAN, &fd, receive_frames);
+    begin(v, KIND_CAN, &fd);
+    print_power_up();
+    serve(v, receive_frames);
     unlink(path);
     close(fd);
     return true;

@@ -1,0 +1,230 @@
+"""Onsets: when stimuli begin that were to begin at a time, and what is reported of them.
+
+A burst begins 25 times a second, each on another contactor. Over a serial link a client in its own
+process lets them begin at times of its own clock, and the server plays them to the C amplifier on a
+pty. Over CAN FD they are ordered from the playback of this process, as the model of the link is
+within reach of one process only. The true onset is where the drive in the amplifier's record agrees
+best with the rendered burst, which knows nothing of what playback and server say about it.
+"""
+
+import asyncio
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.virtual import (
+    Records,
+    VirtualAmplifier,
+    beside_amplifier,
+    can_bus,
+    real_time,
+    workshop,
+)
+from tactile import messages as m
+from tactile.arrays import Floats
+from tactile.bench.figures import RATE, Figure, at_least, at_most
+from tactile.bus.base import Bus
+from tactile.bus.wire_time import Can
+from tactile.display.display import Display, load_display
+from tactile.playback.block_rendering import BLOCK
+from tactile.playback.commands import AppendSamples, OnsetReport, PlayAt
+from tactile.playback.loop import PlaybackLoop
+from tactile.playback.shared_memory import PlaybackMemory
+from tactile.rendering.renderer import Renderer
+from tactile.server.config import Configuration, DisplayConfig, ServerConfig
+from tactile.server.host import Host
+from tactile.server.server import running
+
+PERIOD, AHEAD = 0.04, 0.15
+"""Time from one burst to the next, and by which each is sent ahead [s]."""
+CONTACTORS = 24
+SHORT, LONG = 500, 5000
+"""Numbers of bursts."""
+SETTLING = 10.0
+"""Time for which the link is up before bursts are ordered, as one to a server is [s]. In the first
+seconds the clock of the amplifier is known to some 0.1 ms (`python -m benchmarks clock`)."""
+AMPLITUDE = 2e-6
+"""Shear of a burst [m]."""
+CLIENT = "from benchmarks.onsets import send; send({!r}, {!r}, {!r})"
+"""Code of the client's process."""
+NAME = "bench"
+"""Name of the display."""
+SEARCHED = 0.03
+"""Time around that of a stimulus in which its burst is looked for [s]."""
+
+
+def burst() -> Floats:
+    """Return the values of a burst at `RATE`: 16 ms of 250 Hz under half a period of a sine."""
+    time_s = np.arange(int(0.016 * RATE)) / RATE
+    return np.asarray(np.cos(2 * np.pi * 250 * time_s) * np.sin(np.pi * time_s / 0.016))
+
+
+def planned(count: int) -> Floats:
+    """Return times at which bursts are to begin, from half a second ahead (K,) [s]."""
+    varied = np.random.default_rng(3).uniform(0, PERIOD / 4, count)
+    return np.asarray(time.monotonic() + 0.5 + PERIOD * np.arange(count) + varied)
+
+
+def send(url: str, count: int, file: str) -> None:
+    """Let bursts begin at times, and store these and what is reported of them."""
+    import tactile.client
+
+    samples = burst().tolist()
+    stimuli = [tactile.client.At(float(when)) for when in planned(count)]
+    with tactile.client.connect(url) as display:
+        for k, at in enumerate(stimuli):
+            while (left := at.time - AHEAD - time.monotonic()) > 0:
+                time.sleep(left)
+            display.append(
+                samples, sample_rate=RATE, amplitude=AMPLITUDE, contactors=(k % CONTACTORS,), at=at
+            )
+        onsets = [at.onset(10.0) for at in stimuli]
+    nan = float("nan")
+    rows = [
+        (o.at, nan if o.time is None else o.time, nan if o.uncertainty is None else o.uncertainty,
+         float(bool(o.reason)))
+        for o in onsets
+    ]  # fmt: skip
+    np.save(file, np.array(rows))
+
+
+async def _played(device: str, count: int, file: Path) -> None:
+    """Play what a client sends, on a display that stays armed."""
+    display = DisplayConfig(name=NAME, device=device, worn=True)
+    config = Configuration(server=ServerConfig(port=0, socket=""), display=(display,))
+    host = Host(config)
+    async with running(config, host=host) as server:
+        keeper = host.connect("bench", roles=m.ALL_ROLES)
+        answer = await keeper.request(m.ArmDisplay(display=NAME))
+        assert isinstance(answer, m.Done), answer
+        await asyncio.sleep(SETTLING)
+        code = CLIENT.format(server.url, count, str(file))
+        client = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
+        if await client.wait():
+            raise subprocess.CalledProcessError(client.returncode or 1, "client")
+        await keeper.request(m.DisarmDisplay(display=NAME))
+
+
+def _played_over_can(bus: Bus, display: Display, count: int) -> Floats:
+    """Play on a bus from this process; return rows as of `send`."""
+    time.sleep(SETTLING)
+    samples, times = (AMPLITUDE * burst()).astype(np.float32), planned(count)
+    reports: dict[int, OnsetReport] = {}
+    ordered = 0
+    with closing(PlaybackMemory.create(CONTACTORS)) as memory, real_time():
+        player = PlaybackLoop(display, bus, memory, worn=True)
+        player.arm()
+        while len(reports) < count:
+            while ordered < count and times[ordered] < time.monotonic() + AHEAD:
+                order = AppendSamples(1, samples, RATE, (ordered % CONTACTORS,), append=True)
+                player.apply(PlayAt(ordered, 1, float(times[ordered]), False, order))
+                ordered += 1
+            player.step()
+            reports |= {report.number: report for report in player.report_onsets()}
+        player.disarm()
+    return np.array([
+        (times[k], reports[k].time, reports[k].uncertainty, float(bool(reports[k].reason)))
+        for k in range(count)
+    ])  # fmt: skip
+
+
+def template() -> tuple[Floats, int]:
+    """Return the drive of a burst on all contactors (S, N) [V], and the sample of its onset."""
+    renderer, start = Renderer(load_display("reference-24"), None, sample_rate=RATE), 160
+    shear = np.zeros((640, CONTACTORS), np.float32)
+    shear[start : start + len(burst())] = AMPLITUDE * burst()[:, None]
+    rest = np.zeros((BLOCK, 2)), np.full(BLOCK, 0.5)
+    parts = [
+        renderer.block(*rest, waveform=shear[k : k + BLOCK]) for k in range(0, len(shear), BLOCK)
+    ]
+    return np.concatenate(parts), start + renderer.delay
+
+
+def true_onsets(records: Records, powered_up: float, asked: Floats) -> Floats:
+    """Return the time at which each burst began, by the amplifier's record (K,) [s].
+
+    Parameters
+    ----------
+    records : Records
+        Output of the amplifier.
+    powered_up : float
+        Time at which its clock was 0 [s].
+    asked : (K,) array of float
+        Times at which the bursts were to begin [s].
+
+    Returns
+    -------
+    (K,) array of float
+        Times; NaN where no drive is like a burst [s].
+    """
+    drive, onset = template()
+    times = powered_up + records.tick.astype(np.float64) * 1e-6
+    onsets = np.full(len(asked), np.nan)
+    for k, when in enumerate(asked):
+        first = int(np.searchsorted(times, when - SEARCHED)) - onset
+        part = records.codes[max(first, 0) :, k % CONTACTORS][: 2 * int(SEARCHED * RATE) + 640]
+        wanted = drive[:, k % CONTACTORS]
+        if len(part) < len(wanted):
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(part.astype(np.float64), len(wanted))
+        likeness = windows @ wanted / (np.linalg.norm(windows, axis=1) + 1e-9)
+        best = int(likeness.argmax())
+        if likeness[best] > 0.99 * np.linalg.norm(wanted):
+            onsets[k] = times[max(first, 0) + best + onset]
+    return onsets
+
+
+def _figures(name: str, rows: Floats, onsets: Floats) -> Iterator[Figure]:
+    """Yield the figures of stimuli: asked, reported, uncertainty and whether it has a reason."""
+    asked, reported, uncertainty, excused = rows.T
+    error = np.abs(onsets - asked)
+    missed = ~(error <= 1 / RATE)
+    inside = np.abs(onsets - reported) <= uncertainty
+    known = np.isfinite(reported)
+    yield Figure(f"{name}.stimuli", float(len(asked)), "")
+    yield at_least(f"{name}.within_a_sample", 100 * float(np.mean(~missed)), "%", 99.9)
+    yield Figure(f"{name}.error.p50", 1e6 * float(np.nanpercentile(error, 50)), "µs")
+    yield Figure(f"{name}.error.most", 1e6 * float(np.nanmax(error)), "µs")
+    yield at_most(f"{name}.unreported_misses", float(np.sum(missed & ~excused.astype(bool))), "", 0)
+    yield at_least(f"{name}.within_interval", 100 * float(np.mean(inside[known])), "%", 99)
+    yield Figure(f"{name}.uncertainty.p50", 1e6 * float(np.nanpercentile(uncertainty, 50)), "µs")
+
+
+def _measured(name: str, amplifier: VirtualAmplifier, rows: Floats) -> Iterator[Figure]:
+    """Yield the figures by the record of an amplifier."""
+    time.sleep(0.1)
+    yield from _figures(name, rows, true_onsets(amplifier.take(), amplifier.powered_up, rows[:, 0]))
+
+
+def _serial(count: int) -> Iterator[Figure]:
+    with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
+        file = folder / "onsets.npy"
+        asyncio.run(_played(f"serial://{amplifier.path}", count, file))
+        yield from _measured("onsets.serial", amplifier, np.load(file))
+
+
+def _can(count: int) -> Iterator[Figure]:
+    display = load_display("reference-24")
+    with (
+        workshop() as folder,
+        closing(VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")) as amplifier,
+        can_bus(folder, display, Can(1e6, 5e6), rearm=True) as bus,
+    ):
+        rows = _played_over_can(bus, display, count)
+        yield from _measured("onsets.canfd_1_5", amplifier, rows)
+
+
+def measure_onsets(count: int = SHORT) -> Iterator[Figure]:
+    """Measure when stimuli begin that were to begin at a time."""
+    yield from beside_amplifier("onsets", chain(_serial(count), _can(count)))
+
+
+def measure_onsets_long() -> Iterator[Figure]:
+    """Measure the same with 5000 stimuli on each link."""
+    yield from measure_onsets(LONG)

@@ -309,6 +309,20 @@ def test_an_onset_of_which_samples_were_lost_is_less_certain_by_these(
     assert report.reason == "40 samples around it were not put out"
 
 
+@pytest.mark.parametrize("lost", [0, 40])
+def test_a_stimulus_that_was_written_to_a_lost_link_has_no_time(stage: Stage, lost: int) -> None:
+    """A sound card has no clock either, but loses nothing."""
+    reports, at = OnsetReports(stage.bus), stage.player.position
+    with pytest.MonkeyPatch.context() as unplugged:
+        unplugged.setattr(MockBus, "due_uncertainty", lambda bus, position: math.nan)
+        reports.add(StimulusOutcome(1, ME, at), 0)
+    reports.look(stage.bus.due(at) + 0.31, lost, running=True)
+    (report,) = reports.take()
+    assert math.isnan(report.time) == bool(lost)
+    assert math.isnan(report.uncertainty)
+    assert report.reason == ("40 samples around it were not put out" if lost else "")
+
+
 def test_a_stimulus_that_an_estop_prevents_is_reported_at_once(stage: Stage) -> None:
     schedule(stage, waveform(), stage.bus.due(stage.player.position + 1600))
     stage.rest(0.1)

@@ -100,7 +100,9 @@ class OnsetReports:
         if lost:
             reason = reason or f"{lost} samples around it were not put out"
         uncertainty = one.uncertainty + lost / self._bus.wiring.sample_rate
-        self._report(one.onset, one.due, uncertainty, reason)
+        # no clock while samples are lost: the amplifier could not be reached
+        due = math.nan if lost and math.isnan(uncertainty) else one.due
+        self._report(one.onset, due, uncertainty, reason)
 
     def _report(self, onset: StimulusOutcome, time: float, uncertainty: float, reason: str) -> None:
         self._reports.append(OnsetReport(onset.number, onset.client, time, uncertainty, reason))

@@ -28,7 +28,7 @@ MOST_TRANSIENTS = 16
 periods each, these are 1280 taps a second, more than can be told from a tone (assumed). They take
 as much work as the rest of the effect."""
 BLOCK_WORK = 12_000
-"""Work for the waves of all clients in a block: at most 0.4 ms of its 2 ms, at 15 to 33 ns a unit
+"""Work for the waves of all clients in a block: at most 0.5 ms of its 2 ms, at 18 to 44 ns a unit
 as measured by `python -m benchmarks waves`."""
 EFFECT_WORK = 1000
 """Work of an effect in a block without its transients, the same for any small number of samples."""

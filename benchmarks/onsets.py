@@ -66,13 +66,35 @@ def burst() -> Floats:
 
 
 def planned(count: int) -> Floats:
-    """Return times at which bursts are to begin, from half a second ahead (K,) [s]."""
+    """Return times at which bursts are to begin, from half a second ahead.
+
+    Parameters
+    ----------
+    count : int
+        Number of bursts, K.
+
+    Returns
+    -------
+    (K,) array of float
+        Times on the host's monotonic clock [s].
+    """
     varied = np.random.default_rng(3).uniform(0, PERIOD / 4, count)
     return np.asarray(time.monotonic() + 0.5 + PERIOD * np.arange(count) + varied)
 
 
 def send(url: str, count: int, file: str) -> None:
-    """Let bursts begin at times, and store these and what is reported of them."""
+    """Let bursts begin at times, and store these and what is reported of them.
+
+    Parameters
+    ----------
+    url : str
+        Address of the server.
+    count : int
+        Number of bursts, K.
+    file : str
+        File for an array (K, 4): time that was given, reported onset and its uncertainty [s], and
+        whether there was a reason.
+    """
     import tactile.client
 
     samples = burst().tolist()
@@ -221,7 +243,18 @@ def _can(count: int) -> Iterator[Figure]:
 
 
 def measure_onsets(count: int = SHORT) -> Iterator[Figure]:
-    """Measure when stimuli begin that were to begin at a time."""
+    """Measure when stimuli begin that were to begin at a time.
+
+    Parameters
+    ----------
+    count : int
+        Number of stimuli on each link.
+
+    Yields
+    ------
+    Figure
+        Figures.
+    """
     yield from beside_amplifier("onsets", chain(_serial(count), _can(count)))
 
 

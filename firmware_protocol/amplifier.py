@@ -37,7 +37,7 @@ from firmware_protocol.sources import PcmSource, Source, SpectrumSource
 
 SESSION_FREE = (m.Hello, m.Time, m.Sync, m.Estop, m.Get, m.Identify, m.Poll)
 """Messages that are valid without a session."""
-STREAMED = (m.Pcm, m.Spectrum, m.Guard)
+STREAMED = (m.Pcm, m.Spectrum, m.Guard, m.Mark)
 """Messages that are ignored unless the amplifier runs."""
 SETTLED_STATES = (State.IDLE, State.SAFE)
 """States in which the node address may be changed."""
@@ -113,7 +113,7 @@ class ReferenceAmplifier(Machine):
             if packet.flags & Flag.INCOMPATIBLE:
                 return Refusal(NakCode.UNSUPPORTED, packet.flags, "unsupported")
         kind = m.MESSAGES.get(packet.type)
-        if kind is None or kind not in HANDLERS or (kind is m.Guard and not self._correlates):
+        if kind is None or kind not in HANDLERS or self._lacks(kind):
             return Refusal(NakCode.UNKNOWN_TYPE, 0, "unknown_type")
         message = kind.unpack(packet.payload)
         if message is None:
@@ -126,6 +126,12 @@ class ReferenceAmplifier(Machine):
         if event and (refusal := self._forbidden(event, message)):
             return refusal
         return handler(self, message)
+
+    def _lacks(self, kind: type[Message]) -> bool:
+        """Return whether a message is of a feature that the amplifier does not have."""
+        if kind is m.Mark:
+            return not self.config.marker_lines
+        return kind is m.Guard and not self._correlates
 
     def _owned(self, message: Message) -> bool:
         """Return whether a message has the token of the present session."""
@@ -215,6 +221,7 @@ class ReferenceAmplifier(Machine):
         self._start_tick, self._start_position = tick, start.position
         self._player.start(self._source(), start.position)
         self._correlator.start()
+        self._marks.forget()
         self._player.guard.start(self.rate)
         return None
 
@@ -382,6 +389,15 @@ class ReferenceAmplifier(Machine):
         self._player.guard.take(message.first_channel, entries)
         return None
 
+    def _mark(self, mark: m.Mark) -> Reply:
+        """Handle MARK."""
+        if not 0 < mark.code < 1 << self.config.marker_lines:
+            return Refusal(NakCode.RANGE, 2)
+        if not mark.samples:
+            return Refusal(NakCode.RANGE, 3)
+        self._marks.keep(mark, self._player.position, self.config.fifo)
+        return None
+
     def _spectrum(self, frame: m.Spectrum) -> Reply:
         """Handle SPECTRUM."""
         source, count = self._player.source, len(self._increments)
@@ -434,5 +450,6 @@ HANDLERS: dict[type[Message], tuple[str, Handler]] = {
     m.Carriers: ("carriers", ReferenceAmplifier._carriers),
     m.Spectrum: ("", ReferenceAmplifier._spectrum),
     m.Guard: ("", ReferenceAmplifier._guard),
+    m.Mark: ("", ReferenceAmplifier._mark),
 }
 """Event in the state table and handler of each message; "" for a message that is no event."""

@@ -12,6 +12,7 @@ from firmware_protocol.messages import (
     FADE_MS,
     FULL_SCALE_CODE,
     MAJOR,
+    MARKER_LINES_MOST,
     PACKET_MAX,
     UNGUARDED_MOST_UV,
     SampleFormat,
@@ -143,6 +144,7 @@ def _ranges(caps: m.Caps) -> Iterator[Range]:
     fall = f"to 0 V from voltage_limit_uv {caps.voltage_limit_uv} in {FADE_MS} ms at {rate} Hz"
     yield "slew_limit_v_per_s", least, SLEW_MOST, fall
     yield "formats", 1, FORMATS, ""
+    yield "marker_lines", 0, MARKER_LINES_MOST, ""
 
 
 def _least_slew(caps: m.Caps) -> tuple[int, int]:

@@ -59,6 +59,8 @@ class AmplifierConfig:
         amplifier that does not correlate.
     current_delay : int
         Number of instants by which currents are late, as converters and filters delay them (16.1).
+    marker_lines : int
+        Number of marker lines, 0 for none (18).
     """
 
     channels: int = 24
@@ -79,6 +81,7 @@ class AmplifierConfig:
     estop_input: bool = True
     sense_ranges_ua: tuple[int, ...] = ()
     current_delay: int = 0
+    marker_lines: int = 0
 
     def caps(self, session: int, features: int) -> Caps:
         """Return what the amplifier tells of itself.
@@ -99,7 +102,7 @@ class AmplifierConfig:
             session, MAJOR, MINOR, SCHEMA_CRC, self.channels, self.carriers, self.formats,
             features, self.packet_limit, self.fifo, self.tick_hz, self.rate_min_hz,
             self.rate_max_hz, self.full_scale_uv, self.voltage_limit_uv, self.slew_limit_v_per_s,
-            self.fade_limit_us, self.firmware, self.name.encode(),
+            self.fade_limit_us, self.firmware, self.name.encode(), self.marker_lines,
         )  # fmt: skip
 
 

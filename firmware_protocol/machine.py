@@ -15,6 +15,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.capabilities import config_fault
 from firmware_protocol.config import AmplifierConfig, LimitsInForce
 from firmware_protocol.correlation import Correlator, Sensor, messages_of, window_samples
+from firmware_protocol.marks import Marks
 from firmware_protocol.messages import (
     INPUT_CLOSED_MS,
     REFUSED,
@@ -79,6 +80,8 @@ class PlayedRun(NamedTuple):
         State after the last instant.
     high_voltage : bool
         Whether the high voltage is on after the last instant.
+    lines : int
+        Code on the marker lines at all instants of the run.
     """
 
     position: int
@@ -86,6 +89,7 @@ class PlayedRun(NamedTuple):
     codes: NDArray[np.int16]
     state: State
     high_voltage: bool
+    lines: int
 
 
 class Machine:
@@ -144,6 +148,7 @@ class Machine:
         self._settings = {Parameter.NODE: config.node, Parameter.PULSE_MS: 10,
                           Parameter.LOG_LEVEL: int(LogLevel.WARNING)}  # fmt: skip
         self._attach(sensor)
+        self._marks = Marks()
         self._seq = 0
         self._sent: deque[Packet] = deque()
         self._played: list[PlayedRun] = []
@@ -313,8 +318,10 @@ class Machine:
         """Put out up to ``count`` instants."""
         position, pending = self.position, self._start_tick is not None
         player, first = self._player, self._player.position
+        running = self.state == State.RUNNING and not pending
         if player.guard.active:
             count = min(count, player.guard.most)
+        count = self._marks.longest(count, position, running=running)
         codes = player.advance(count, pending=pending)
         self._last_position = first + (0 if pending else len(codes) - 1)
         ticks = (
@@ -325,14 +332,20 @@ class Machine:
         self._count_played()
         if self._sensor is not None:
             self._measure(self._sensor, first, codes, in_window=not pending)
+        mark = self._marks.advance(
+            len(codes), position, running=running, playing=player.phase == Phase.PLAYING
+        )
+        if mark is not None:
+            self._send(m.Marked(mark.position, mark.code))
         if self.state == State.RAMPDOWN and not player.ramping:
             self._enter(self._after_ramp)
             self._send_pulse()
         if self.state not in POWERED and player.silent:
             self.high_voltage = False
         self._played.append(
-            PlayedRun(position, ticks, codes.astype(np.int16), self.state, self.high_voltage)
-        )
+            PlayedRun(position, ticks, codes.astype(np.int16), self.state, self.high_voltage,
+                      self._marks.lines)
+        )  # fmt: skip
 
     def _measure(self, sensor: Sensor, position: int, codes: Ints, *, in_window: bool) -> None:
         """Measure the currents of a run, and send the windows that it completes (section 16)."""

@@ -9,8 +9,8 @@ from struct import Struct
 
 from firmware_protocol.layout import Message as Message
 
-MAJOR, MINOR = 1, 3
-SCHEMA_CRC = 0xD1881435
+MAJOR, MINOR = 1, 4
+SCHEMA_CRC = 0xE2066801
 STAYS, REFUSED = 0x40, 0x80
 WATCHDOG_MS = 150
 """Time without a heartbeat after which the watchdog expires [ms]."""
@@ -50,6 +50,10 @@ GUARD_BLOCKS = 5
 """Number of blocks over which the guard looks for a lost contact."""
 GUARD_LEAST = 1024
 """Gain of a channel after its guard has tripped, in 1/32768."""
+MARKER_LINES_MOST = 8
+"""Largest number of marker lines."""
+MARKS_MOST = 8
+"""Largest number of marks that an amplifier keeps."""
 
 
 class Flag(IntEnum):
@@ -476,6 +480,20 @@ class Guard(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Mark(Message):
+    """MARK from the host: shows a code on the marker lines with a sample (section 4)."""
+
+    TYPE = 0x14
+    CAN = CanClass.STREAM
+    HEAD = Struct("<HIBH")
+
+    session: int = 0
+    position: int = 0
+    code: int = 0
+    samples: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Ack(Message):
     """ACK from the amplifier: a request was done (section 4)."""
 
@@ -508,7 +526,7 @@ class Caps(Message):
 
     TYPE = 0x42
     CAN = CanClass.RESPONSE
-    HEAD = Struct("<HBBIBBHHHHIIIIIIII16s")
+    HEAD = Struct("<HBBIBBHHHHIIIIIIII16sB")
 
     session: int = 0
     major: int = 0
@@ -529,6 +547,7 @@ class Caps(Message):
     fade_limit_us: int = 0
     firmware: int = 0
     name: bytes = b""
+    marker_lines: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -674,6 +693,18 @@ class Guarded(Message):
     reasons: bytes = b""
 
 
+@dataclass(frozen=True, slots=True)
+class Marked(Message):
+    """MARKED from the amplifier: a code was shown on the marker lines (section 4)."""
+
+    TYPE = 0x4B
+    CAN = CanClass.BULK
+    HEAD = Struct("<IB")
+
+    position: int = 0
+    code: int = 0
+
+
 MESSAGES: dict[int, type[Message]] = {
     0x01: Hello,
     0x02: Time,
@@ -694,6 +725,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x11: Carriers,
     0x12: Spectrum,
     0x13: Guard,
+    0x14: Mark,
     0x40: Ack,
     0x41: Nak,
     0x42: Caps,
@@ -705,5 +737,6 @@ MESSAGES: dict[int, type[Message]] = {
     0x48: Log,
     0x49: Correlation,
     0x4A: Guarded,
+    0x4B: Marked,
 }
 """Classes of the messages by their type."""

@@ -50,7 +50,7 @@ CELLS = [
     ("arm", "SAFE", "!STATE", "PLAYS_AGAIN"),
 ]
 """Cells of the table of states that are wrong, with a property that must fail."""
-STEP, INPUT, FAULT, WATCHDOG, REST = 20, 21, 22, 23, 24
+STEP, INPUT, FAULT, WATCHDOG, REST = 200, 201, 202, 203, 204
 """Events of a trace that are no messages."""
 STEP_TICKS, REST_TICKS = 50_000, 25_000
 NAMES = {kind: generate._upper(message.__name__) for kind, message in MESSAGES.items()}

@@ -319,7 +319,7 @@ def played(amplifier: ReferenceAmplifier) -> Instants:
             last = k == len(run.ticks) - 1
             position = run.position if k == 0 else None
             state = int(run.state) if last else None
-            instants[int(tick)] = position, state, codes.tolist()
+            instants[int(tick)] = position, state, codes.tolist(), run.lines
     return instants
 
 

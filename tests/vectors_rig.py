@@ -85,8 +85,9 @@ def same_prompt(packet: Packet, vector: Vector) -> None:
     assert told(MESSAGES[packet.type].unpack(packet.payload), vector["fields"]) == vector["fields"]
 
 
-Instants = dict[int, tuple[int | None, int | None, list[int]]]
-"""Instants by tick: position, state and codes; None where they are not known."""
+Instants = dict[int, tuple[int | None, int | None, list[int], int]]
+"""Instants by tick: position and state, None where they are not known, codes, and code on the
+marker lines."""
 
 
 def check_answers(step: Vector, sent: list[Packet]) -> None:
@@ -108,8 +109,9 @@ def check_pulses(step: Vector, sent: list[Packet]) -> None:
 
 def check_output(step: Vector, instants: Instants) -> None:
     for expected in step.get("output", []):
-        position, state, codes = instants[expected["tick"]]
+        position, state, codes, lines = instants[expected["tick"]]
         assert codes == expected["codes"], (step, expected)
+        assert lines == expected.get("lines", lines), (step, expected)
         assert position in (None, expected.get("position", position)), (step, expected)
         assert state in (None, expected.get("state", state)), (step, expected)
 

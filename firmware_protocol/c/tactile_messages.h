@@ -14,8 +14,8 @@
 #include <string.h>
 
 #define TP_MAJOR 1u
-#define TP_MINOR 3u
-#define TP_SCHEMA_CRC 0xD1881435u
+#define TP_MINOR 4u
+#define TP_SCHEMA_CRC 0xE2066801u
 #define TP_TABLE_STAYS 0x40u
 #define TP_TABLE_REFUSED 0x80u
 #define TP_WATCHDOG_MS 150u
@@ -37,6 +37,8 @@
 #define TP_GUARD_BLOCK 8u
 #define TP_GUARD_BLOCKS 5u
 #define TP_GUARD_LEAST 1024u
+#define TP_MARKER_LINES_MOST 8u
+#define TP_MARKS_MOST 8u
 
 enum {
     TP_FLAG_ACK_REQUEST = 32,
@@ -722,6 +724,36 @@ static inline bool tp_guard_decode(tp_guard *m, const uint8_t *in, size_t length
     return true;
 }
 
+#define TP_MARK 0x14u
+#define TP_MARK_SIZE 9u
+typedef struct {
+    uint16_t session;
+    uint32_t position;
+    uint8_t code;
+    uint16_t samples;
+} tp_mark;
+
+static inline size_t tp_mark_encode(const tp_mark *m, uint8_t *out, size_t room)
+{
+    if (room < TP_MARK_SIZE) {
+        return 0;
+    }
+    tp_put_le(out + 0, (uint64_t)m->session, 2);
+    tp_put_le(out + 2, (uint64_t)m->position, 4);
+    tp_put_le(out + 6, (uint64_t)m->code, 1);
+    tp_put_le(out + 7, (uint64_t)m->samples, 2);
+    return 9;
+}
+
+static inline bool tp_mark_decode(tp_mark *m, const uint8_t *in, size_t length)
+{
+    m->session = (uint16_t)tp_get_le(in, length, 0, 2);
+    m->position = (uint32_t)tp_get_le(in, length, 2, 4);
+    m->code = (uint8_t)tp_get_le(in, length, 6, 1);
+    m->samples = (uint16_t)tp_get_le(in, length, 7, 2);
+    return true;
+}
+
 #define TP_ACK 0x40u
 #define TP_ACK_SIZE 2u
 typedef struct {
@@ -780,7 +812,7 @@ static inline bool tp_nak_decode(tp_nak *m, const uint8_t *in, size_t length)
 }
 
 #define TP_CAPS 0x42u
-#define TP_CAPS_SIZE 66u
+#define TP_CAPS_SIZE 67u
 typedef struct {
     uint16_t session;
     uint8_t major;
@@ -801,6 +833,7 @@ typedef struct {
     uint32_t fade_limit_us;
     uint32_t firmware;
     char name[16];
+    uint8_t marker_lines;
 } tp_caps;
 
 static inline size_t tp_caps_encode(const tp_caps *m, uint8_t *out, size_t room)
@@ -827,7 +860,8 @@ static inline size_t tp_caps_encode(const tp_caps *m, uint8_t *out, size_t room)
     tp_put_le(out + 42, (uint64_t)m->fade_limit_us, 4);
     tp_put_le(out + 46, (uint64_t)m->firmware, 4);
     memcpy(out + 50, m->name, 16);
-    return 66;
+    tp_put_le(out + 66, (uint64_t)m->marker_lines, 1);
+    return 67;
 }
 
 static inline bool tp_caps_decode(tp_caps *m, const uint8_t *in, size_t length)
@@ -854,6 +888,7 @@ static inline bool tp_caps_decode(tp_caps *m, const uint8_t *in, size_t length)
     if (length > 50) {
         memcpy(m->name, in + 50, length - 50 < 16 ? length - 50 : 16);
     }
+    m->marker_lines = (uint8_t)tp_get_le(in, length, 66, 1);
     return true;
 }
 
@@ -1203,6 +1238,30 @@ static inline bool tp_guarded_decode(tp_guarded *m, const uint8_t *in, size_t le
     m->position = (uint32_t)tp_get_le(in, length, 0, 4);
     m->reasons = in + 4;
     m->reasons_size = length - 4;
+    return true;
+}
+
+#define TP_MARKED 0x4Bu
+#define TP_MARKED_SIZE 5u
+typedef struct {
+    uint32_t position;
+    uint8_t code;
+} tp_marked;
+
+static inline size_t tp_marked_encode(const tp_marked *m, uint8_t *out, size_t room)
+{
+    if (room < TP_MARKED_SIZE) {
+        return 0;
+    }
+    tp_put_le(out + 0, (uint64_t)m->position, 4);
+    tp_put_le(out + 4, (uint64_t)m->code, 1);
+    return 5;
+}
+
+static inline bool tp_marked_decode(tp_marked *m, const uint8_t *in, size_t length)
+{
+    m->position = (uint32_t)tp_get_le(in, length, 0, 4);
+    m->code = (uint8_t)tp_get_le(in, length, 4, 1);
     return true;
 }
 

@@ -130,11 +130,12 @@ byte patience;         /* steps without a trouble, up to 6 */
 #define MAY_UPSET true
 #define UPSET skip
 #endif
-#define T_STEP 20
-#define T_INPUT 21
-#define T_FAULT 22
-#define T_WATCHDOG 23
-#define T_REST 24
+/* Events that are no messages, beyond all ids of these. */
+#define T_STEP 200
+#define T_INPUT 201
+#define T_FAULT 202
+#define T_WATCHDOG 203
+#define T_REST 204
 
 /* States, section 6 */
 

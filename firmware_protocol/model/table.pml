@@ -25,6 +25,7 @@
 #define M_CARRIERS 17
 #define M_SPECTRUM 18
 #define M_GUARD 19
+#define M_MARK 20
 #define IDLE 0
 #define ARMED 1
 #define RUNNING 2

@@ -2,7 +2,7 @@
 
 import struct
 
-from protocol_traces import FAULT, INPUT, PACKET, RUN, SWITCHED, Record
+from protocol_traces import FAULT, INPUT, MARKS, PACKET, RUN, SWITCHED, Record
 from vectors_rig import (
     PULSE,
     Instants,
@@ -44,10 +44,14 @@ def check_replayed(vector: Vector, out: bytes, sent: list[Record]) -> None:
     ----------
     vector : vector of the trace
     out : records of its instants, as `virtual-amplifier --out` writes them
-    sent : packets, and switching of the high voltage
+    sent : packets, switching of the high voltage, and changes of the marker lines
     """
     row = struct.Struct(f"<QIBB{config_of(vector)['channels']}h")
-    instants: Instants = {t: (n, s, list(codes)) for t, n, s, _, *codes in row.iter_unpack(out)}
+    marks = [(r.tick, r.data[-1]) for r in sent if r.kind == MARKS]
+    instants: Instants = {
+        t: (n, s, list(codes), [0, *(lines for tick, lines in marks if tick <= t)][-1])
+        for t, n, s, _, *codes in row.iter_unpack(out)
+    }
     packets = [(r.tick, _decoded(r.data)) for r in sent if r.kind == PACKET]
     switched = [(r.tick, r.data[0]) for r in sent if r.kind == SWITCHED]
     since = -1

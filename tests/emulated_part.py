@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from c_amplifier_rig import SOURCE
 from cobs import cobs
-from protocol_traces import PACKET, RECORD, SWITCHED, Record
+from protocol_traces import MARKS, PACKET, RECORD, SWITCHED, Record
 
 from firmware_protocol.correlation import Sensor
 from firmware_protocol.serial_link import encode_frame
@@ -25,7 +25,8 @@ FIELDS = (
     "rate_min_hz", "rate_max_hz", "full_scale_uv", "voltage_limit_uv", "slew_limit_v_per_s",
     "fade_limit_us",
 )  # fmt: skip
-"""Values of a configuration, in the order in which the part takes them; its sensor follows."""
+"""Values of a configuration, in the order in which the part takes them; sensor and marker lines
+follow."""
 SERIAL = 0
 POWER_UP, PUT_OUT, AFTER, CURRENTS, SENSE, SENSE_RANGE, DONE = range(11, 18)
 HANG = 120.0
@@ -63,7 +64,8 @@ class Board:
     Attributes
     ----------
     out : records of the instants, as `virtual-amplifier --out` writes them
-    sent : packets that came over the wire, and switching of the high voltage
+    sent : packets that came over the wire, switching of the high voltage, and changes of the marker
+        lines
     """
 
     def __init__(self, sensor: Sensor | None, ranges_ua: Sequence[int]) -> None:
@@ -76,7 +78,7 @@ class Board:
         tick, kind, data = report
         if kind == SERIAL:
             self.sent.append(Record(tick, PACKET, cobs.decode(data[:-1])))
-        elif kind == SWITCHED:
+        elif kind in (SWITCHED, MARKS):
             self.sent.append(report)
         elif kind == PUT_OUT:
             self._put_out(data)
@@ -207,11 +209,13 @@ class EmulatedPart:
         bytes
             Records of the instants, as `virtual-amplifier --out` writes them.
         list of Record
-            Packets that came over the wire, and switching of the high voltage.
+            Packets that came over the wire, switching of the high voltage, and changes of the
+            marker lines.
         """
         ranges = config.get("sense_ranges_ua", ())
         board = Board(sensor, ranges)
         values = [config[name] for name in FIELDS] + [*ranges, 0][:1] + [int(sensor is not None)]
+        values.append(config.get("marker_lines", 0))
         self._do(Record(0, POWER_UP, struct.pack(f"<{len(values)}I", *values)), board)
         for record in records:
             if record.kind == PACKET:

@@ -47,6 +47,7 @@ LAYOUTS = {
     0x11: ("CARRIERS", Struct("<HB"), True),
     0x12: ("SPECTRUM", Struct("<IHHBBBB"), True),
     0x13: ("GUARD", Struct("<HBB"), True),
+    0x14: ("MARK", Struct("<HIBH"), False),
 }
 """Name, fixed part, and whether a body follows (section 4)."""
 STATUS = Struct("<4BHIQBQ3I")

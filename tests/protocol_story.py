@@ -215,8 +215,16 @@ class Story:
         else:
             self._pcm(here + ahead, self.rng.randint(1, 12))
 
+    def mark(self) -> None:
+        """Mark a few positions, most of which are about to be put out."""
+        fifo, here = self.rig.config.fifo, self.rig.amplifier.position
+        for _ in range(self.some(1, 1, 3, 12)):
+            ahead = self.some(-1, 0, 1, 5, 30, 31, fifo - 1, fifo, TURN // 2)
+            code, samples = self.some(0, 1, 1, 2, 255), self.some(0, 1, 2, 40, 65535)
+            self.tell("MARK", self.session, (here + ahead) % TURN, code, samples)
+
     def stream(self, milliseconds: int | None = None) -> None:
-        """Stream as a host does, for a while: heartbeats, blocks, a lead, now and then a gap."""
+        """Stream as a host does for a while: heartbeats, blocks, a lead, a gap or mark at times."""
         rig, rng = self.rig, self.rng
         milliseconds = rng.randint(5, 60) if milliseconds is None else milliseconds
         end, beat = rig.now + self.ms(milliseconds), rig.now
@@ -237,6 +245,8 @@ class Story:
                     self._pcm(here + ahead, block)
                 ahead += block + (rng.randint(0, block) if rng.random() < 0.1 else 0)
             self.pointer = here + ahead
+            if rng.random() < 0.1:
+                self.mark()
             self.wait(max(1, block * self.hz // rate))
 
     # Others
@@ -246,7 +256,7 @@ class Story:
         session = self.some(NOBODY, 0, self.session ^ 1)
         name = name or self.rng.choice(
             ["HELLO", "START", "STOP", "ARM", "DISARM", "CLEAR_FAULT", "HEARTBEAT", "LIMITS", "SET",
-             "PCM", "CARRIERS", "SPECTRUM"]
+             "PCM", "CARRIERS", "SPECTRUM", "MARK"]
         )  # fmt: skip
         fields, body = self._foreign_fields(name, session)
         head = {"node": 0} if self.rng.random() < 0.3 else {}
@@ -261,6 +271,7 @@ class Story:
         rest = {
             "HELLO": [1, 0, 0], "START": [0, 0, 0], "STOP": [1], "ARM": [0, c.rate_min_hz],
             "CLEAR_FAULT": [a.counters.trips], "LIMITS": [1, 0, 1], "SET": [1, 9], "CARRIERS": [1],
+            "MARK": [a.position, 1, 1],
         }.get(name, [])  # fmt: skip
         return [session, *rest], b"\0\0\0\1" if name == "CARRIERS" else b""
 
@@ -271,7 +282,7 @@ class Story:
         if len(payload) > 6 and rng.random() < 0.5:
             at = self.some(0, 4)
             payload[at : at + 2] = self.session.to_bytes(2, "little")
-        kind = rng.randrange(0x14) if rng.random() < 0.8 else rng.randrange(256)
+        kind = rng.randrange(0x15) if rng.random() < 0.8 else rng.randrange(256)
         flags = self.some(0x40, 0x60, 0x47, 0x48, 0x80, 0xFF)
         data = sealed(
             kind, bytes(payload), node=self.some(0, 1, self.rig.amplifier.node, 99), flags=flags
@@ -311,7 +322,7 @@ USUAL: Sequence[tuple[Callable[[Story], None], int]] = (
     (Story.foreign, 5), (Story.raw, 5), (Story.ask, 3), (Story.poll, 3), (Story.stop, 3),
     (Story.start, 2), (Story.arm, 2), (Story.limits, 2), (Story.disarm, 1), (Story.estop, 1),
     (Story.clear, 2), (Story.hello, 1), (Story.tune, 1), (Story.fault, 1), (Story.silence, 1),
-    (Story.button, 1), (Story.measure, 6),
+    (Story.button, 1), (Story.measure, 6), (Story.mark, 4),
 )  # fmt: skip
 """Events, and the relative frequency of each."""
 

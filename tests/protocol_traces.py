@@ -23,10 +23,12 @@ from firmware_protocol.machine import PlayedRun
 from firmware_protocol.messages import State
 from firmware_protocol.packet import decode_packet, encode_packet
 
-PACKET, RUN, FAULT, INPUT, SWITCHED = 3, 4, 5, 9, 10
+PACKET, RUN, FAULT, INPUT, SWITCHED, MARKS = 3, 4, 5, 9, 10, 18
 SHORT = 1_000_001
 """Load of a channel that is shorted."""
 RECORD = Struct("<QBI")
+MARK_RECORD = Struct("<IB")
+"""Content of a record of kind `MARKS`: position, and the code on the marker lines from there on."""
 KINDS = {name: (kind, layout) for kind, (name, layout, _) in LAYOUTS.items()}
 RAMPING = (State.RUNNING, State.RAMPDOWN)
 AFTER_RAMP = (State.IDLE, State.ARMED, State.SAFE)
@@ -35,7 +37,7 @@ CONFIGS = {
     "as shipped": AmplifierConfig(channels=2),
     "slow ticks": AmplifierConfig(
         channels=1, tick_hz=32768, rate_min_hz=1000, rate_max_hz=1049, fifo=68, packet_limit=255,
-        formats=0b0111,
+        formats=0b0111, marker_lines=1,
     ),
     "fast ticks": AmplifierConfig(
         channels=5, tick_hz=48_000_000, rate_min_hz=1000, rate_max_hz=4411, fifo=300, carriers=3,
@@ -44,6 +46,7 @@ CONFIGS = {
     "low slew": AmplifierConfig(
         channels=3, rate_min_hz=1000, rate_max_hz=1600, fifo=103, carriers=2, node=127,
         full_scale_uv=200_000_000, voltage_limit_uv=60_000_000, slew_limit_v_per_s=3_151,
+        marker_lines=8,
     ),
     "few formats": AmplifierConfig(
         channels=4, tick_hz=999_983, rate_min_hz=1000, rate_max_hz=2000, fifo=128, carriers=1,
@@ -52,6 +55,7 @@ CONFIGS = {
     "measures": AmplifierConfig(
         channels=5, rate_min_hz=1000, rate_max_hz=4000, fifo=260, carriers=2, packet_limit=140,
         slew_limit_v_per_s=90_000, sense_ranges_ua=(2500, 300, 65535),
+        marker_lines=2,
     ),
 }  # fmt: skip
 
@@ -177,6 +181,8 @@ class Rig:
         self.records: list[Record] = []
         self.sent: list[bytes] = []
         self.rows: list[NDArray[Any]] = []
+        self.marks: list[Record] = []
+        self._lines = 0
         self._state, self._high_voltage = State.IDLE, False
         self._counters = astuple(self.amplifier.counters)
 
@@ -247,6 +253,7 @@ class Rig:
         self._state = self.amplifier.state
         sent = self.packets()
         self.rows += rows
+        self._mark(played)
         self.sent += sent
         assert len(sent) <= 256
         if self.judge is None:
@@ -257,6 +264,14 @@ class Rig:
         for data in sent:
             self.judge.sent(data, sum(map(len, rows)), self.now)
         self._compare(self.judge)
+
+    def _mark(self, played: list[PlayedRun]) -> None:
+        """Note changes of the marker lines, which come with the first instant of a run."""
+        for run in played:
+            if run.lines != self._lines:
+                content = MARK_RECORD.pack(run.position, run.lines)
+                self.marks.append(Record(int(run.ticks[0]), MARKS, content))
+                self._lines = run.lines
 
     def _compare(self, judge: Judge) -> None:
         a, counters = self.amplifier, astuple(self.amplifier.counters)
@@ -285,8 +300,11 @@ class Rig:
         return rows
 
     def out(self) -> bytes:
-        """Return what was put out, as `virtual-amplifier --out` writes it."""
-        return np.concatenate(self.rows).tobytes()
+        """Return what was put out, as `virtual-amplifier` writes it.
+
+        After the records of ``--out`` come those of ``--sent`` for changes of the marker lines.
+        """
+        return np.concatenate(self.rows).tobytes() + saved(self.marks)
 
     def memory(self) -> int:
         """Return the bytes that the amplifier's state takes."""
@@ -316,14 +334,17 @@ def play(
 def replay(
     program: Path, config: AmplifierConfig, records: Iterable[Record], at: Path
 ) -> tuple[bytes, list[bytes]]:
-    """Return what the amplifier in C puts out and sends on a trace; files go to a directory."""
+    """Return what the amplifier in C puts out and sends on a trace; files go to a directory.
+
+    What it puts out is in the form of `Rig.out`.
+    """
     c = config
     options: dict[str, int | str] = {
         "channels": c.channels, "carriers": c.carriers, "formats": c.formats, "node": c.node,
         "packet-limit": c.packet_limit, "fifo": c.fifo, "tick-hz": c.tick_hz,
         "rate-min": c.rate_min_hz, "rate-max": c.rate_max_hz, "full-scale-uv": c.full_scale_uv,
         "voltage-limit-uv": c.voltage_limit_uv, "slew-v-per-s": c.slew_limit_v_per_s,
-        "fade-us": c.fade_limit_us,
+        "fade-us": c.fade_limit_us, "marker-lines": c.marker_lines,
     }  # fmt: skip
     if c.sense_ranges_ua:
         loads = ("short" if load == SHORT else str(load) for load in LOADS_PF)
@@ -338,8 +359,9 @@ def replay(
     subprocess.run(
         [str(program), "--replay", *files, *arguments], input=saved(records), check=True, timeout=60
     )
-    packets = [r.data for r in loaded(sent.read_bytes()) if r.kind == PACKET]
-    return out.read_bytes(), packets
+    written = loaded(sent.read_bytes())
+    marks = saved(record for record in written if record.kind == MARKS)
+    return out.read_bytes() + marks, [r.data for r in written if r.kind == PACKET]
 
 
 def loaded(data: bytes) -> list[Record]:

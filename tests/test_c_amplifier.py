@@ -47,12 +47,12 @@ def test_hello_is_answered_by_caps(build: Path, tmp_path: Path) -> None:
     run.feed(5, hello())
     run.run(build, tmp_path, channels=24)
     ((tick, kind, caps),) = run.packets()
-    fields = struct.unpack("<HBBIBBHHHHIIIIIIII16s", caps)
+    fields = struct.unpack("<HBBIBBHHHHIIIIIIII16sB", caps)
     assert (tick, kind) == (5, CAPS)
-    assert fields[:3] == (SESSION, 1, 3)
+    assert fields[:3] == (SESSION, 1, 4)
     assert fields[4:] == (
         24, 16, 15, 4, 4096, 1024, 1000000, 2500, 16000, 10**8, 10**8, 700000, 20000, 0x10000,
-        b"virtual".ljust(16, b"\0"),
+        b"virtual".ljust(16, b"\0"), 0,
     )  # fmt: skip
 
 

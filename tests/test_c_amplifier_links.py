@@ -160,7 +160,7 @@ def test_fragments_wait_20_ms(build: Path, tmp_path: Path) -> None:
 def test_i2c_and_smbus(build: Path, tmp_path: Path) -> None:
     run = Run()
     run.feed(0, hello(), I2C_WRITE)
-    for size in (10, 2 + 74, 64):
+    for size in (10, 2 + 75, 64):
         run.feed(1, struct.pack("<H", size), I2C_READ)
     for piece in fragments(hello(), 0, 32):
         run.feed(2, piece, SMBUS_WRITE)
@@ -169,8 +169,8 @@ def test_i2c_and_smbus(build: Path, tmp_path: Path) -> None:
     run.run(build, tmp_path, "--packet-limit", "255")
     reads = [data for _, link, data in run.sent if link == I2C_WRITE]
     assert reads[1][:10] == reads[0]  # read again from its beginning
-    assert struct.unpack("<H", reads[1][:2])[0] == 74
-    assert parse(reads[1][2:76])[0] == CAPS
+    assert struct.unpack("<H", reads[1][:2])[0] == 75
+    assert parse(reads[1][2:77])[0] == CAPS
     assert reads[2][:2] == b"\0\0"
     blocks = [data for _, link, data in run.sent if link == SMBUS_READ]
     assert parse(join(blocks[:3]))[0] == CAPS

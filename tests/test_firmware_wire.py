@@ -11,7 +11,7 @@ import pytest
 from behavior_rig import check_replayed, trace
 from cli_rig import Command, recorded
 from emulated_part import MACHINES, SERIAL, EmulatedPart, made
-from protocol_traces import CONFIGS, PACKET, Loads, Record, Rig, row_type
+from protocol_traces import CONFIGS, MARKS, PACKET, Loads, Record, Rig, row_type, saved
 from test_protocol_guard import eventful
 from vectors_rig import DEFAULTS, Output, Vector, config_of, vectors
 
@@ -51,7 +51,7 @@ def test_behavior_through_the_wire(vector: Vector, part: EmulatedPart) -> None:
 
 
 def in_words_of_vectors(config: AmplifierConfig) -> dict[str, Any]:
-    names = [*DEFAULTS, "sense_ranges_ua"]
+    names = [*DEFAULTS, "sense_ranges_ua", "marker_lines"]
     return {name: getattr(config, {"fifo_samples": "fifo"}.get(name, name)) for name in names}
 
 
@@ -99,7 +99,8 @@ def assert_same(rig: Rig, part: EmulatedPart) -> None:
     """Compare what the amplifier in Python has done on a trace with what a part does on it."""
     sensor = Loads(rig.config) if rig.config.sense_ranges_ua else None
     out, sent = part.replay(in_words_of_vectors(rig.config), rig.records, sensor)
-    assert out == rig.out()
+    marks = saved(record for record in sent if record.kind == MARKS)
+    assert out + marks == rig.out()
     assert [record.data for record in sent if record.kind == PACKET] == rig.sent
 
 

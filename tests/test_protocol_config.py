@@ -36,9 +36,13 @@ RANGES = {
     "fade_limit_us": (0, 20_000),
     "slew_limit_v_per_s": (1, 10**8),
     "formats": (1, 15),
+    "marker_lines": (0, 8),
 }
 """Ranges of section 4 of SPEC.md, where they do not depend on other fields."""
-WIDTHS = {"node": 8, "channels": 8, "carriers": 8, "packet_limit": 16, "fifo": 16, "formats": 16}
+WIDTHS = {
+    "node": 8, "channels": 8, "carriers": 8, "packet_limit": 16, "fifo": 16, "formats": 16,
+    "marker_lines": 8,
+}  # fmt: skip
 """Bits of the fields in C; the others have 32."""
 GOOD = AmplifierConfig()
 
@@ -60,8 +64,9 @@ def config_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def line_of(c: AmplifierConfig, name: bytes) -> str:
     numbers = [
         c.node, c.channels, c.carriers, c.formats, c.packet_limit, c.fifo,
-        c.sense_ranges_ua[0] if c.sense_ranges_ua else 0, c.current_delay, c.tick_hz,
-        c.rate_min_hz, c.rate_max_hz, c.full_scale_uv, c.voltage_limit_uv, c.slew_limit_v_per_s,
+        c.sense_ranges_ua[0] if c.sense_ranges_ua else 0, c.current_delay, c.marker_lines,
+        c.tick_hz, c.rate_min_hz, c.rate_max_hz, c.full_scale_uv, c.voltage_limit_uv,
+        c.slew_limit_v_per_s,
         c.fade_limit_us, bool(c.sense_ranges_ua), c.estop_input,
     ]  # fmt: skip
     return " ".join(str(int(number)) for number in numbers) + " " + name.ljust(16, b"\0").hex()

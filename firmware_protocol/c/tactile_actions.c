@@ -152,6 +152,7 @@ static ta_verdict start(ta_amplifier *amp, const tp_start *m, uint64_t now)
         amp->start_position = m->position;
         amp->start_tick = tick > amp->last_tick ? tick : amp->last_tick;
         ta_player_start(&amp->player, m->position);
+        ta_marks_forget(&amp->marks);
         ta_apply(amp, ta_on_start[amp->state]);
     }
     return v;
@@ -409,3 +410,34 @@ ta_verdict ta_act_spectrum(ta_amplifier *amp, const ta_request *r)
     keep_frames(amp, &m);
     return TA_DONE;
 }
+
+#if TA_MARKER_LINES > 0
+
+ta_verdict ta_act_mark(ta_amplifier *amp, const ta_request *r)
+{
+    tp_mark m;
+    if (amp->state != TP_STATE_RUNNING) {
+        return not_running(amp);
+    }
+    (void)tp_mark_decode(&m, r->packet.payload, r->packet.size);
+    if (m.code == 0 || m.code >> amp->config.marker_lines != 0) {
+        return ta_refuse(amp, TP_NAK_RANGE, 2);
+    }
+    if (m.samples == 0) {
+        return ta_refuse(amp, TP_NAK_RANGE, 3);
+    }
+    const ta_mark mark = {.position = m.position, .samples = m.samples, .code = m.code};
+    ta_marks_keep(&amp->marks, &amp->player, &mark);
+    return TA_DONE;
+}
+
+#else
+
+ta_verdict ta_act_mark(ta_amplifier *amp, const ta_request *r)
+{
+    (void)amp;
+    (void)r;
+    return TA_DONE;
+}
+
+#endif

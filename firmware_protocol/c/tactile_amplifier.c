@@ -212,6 +212,61 @@ static void move_guards(ta_amplifier *amp)
 
 #endif
 
+/* Markers, section 18 */
+
+#if TA_MARKER_LINES > 0
+
+/* Settles the marker lines of this instant. Returns whether a mark is shown from it on. */
+static bool show_marks(ta_amplifier *amp)
+{
+    ta_marks *m = &amp->marks;
+    if (ta_marks_rest(m)) {
+        return false;
+    }
+    bool plays = ta_phase(amp) == TP_PHASE_PLAYING;
+    uint8_t before = m->lines;
+    bool shown = ta_marks_instant(m, amp->player.position, amp->start_pending, plays);
+    if (m->lines != before) {
+        amp->hal.marks(amp->hal.context, m->lines);
+    }
+    return shown;
+}
+
+static void report_mark(ta_amplifier *amp, bool shown)
+{
+    if (shown) {
+        ta_note_marked(amp, amp->player.position);
+    }
+}
+
+static void skip_marks(ta_amplifier *amp)
+{
+    if (!ta_marks_rest(&amp->marks)) {
+        ta_marks_skip(&amp->marks, amp->player.position, amp->start_pending);
+    }
+}
+
+#else
+
+static bool show_marks(ta_amplifier *amp)
+{
+    (void)amp;
+    return false;
+}
+
+static void report_mark(ta_amplifier *amp, bool shown)
+{
+    (void)amp;
+    (void)shown;
+}
+
+static void skip_marks(ta_amplifier *amp)
+{
+    (void)amp;
+}
+
+#endif
+
 /* Firmware of one context sends a report where it was noted. */
 static void serve_at_once(ta_amplifier *amp)
 {
@@ -418,15 +473,17 @@ static void sense_if_due(ta_amplifier *amp, uint64_t tick)
     }
 }
 
-/* The sample, and the position after it. */
+/* The sample with its mark, and the position after it. */
 static void put_out(ta_amplifier *amp, uint64_t tick)
 {
     ta_player *p = &amp->player;
     move_guards(amp);
     ta_player_instant(p, amp->state, !amp->start_pending);
     amp->last_position = p->position;
+    bool marked = show_marks(amp);
     amp->hal.put_out(amp->hal.context, tick, p->position, p->codes);
     correlate(amp, p->position, !amp->start_pending);
+    report_mark(amp, marked);
     ta_player_move(p, amp->start_pending);
 }
 
@@ -462,6 +519,7 @@ static void skip(ta_amplifier *amp)
     (void)take_instant(amp);
     amp->last_position = amp->player.position;
     skip_correlation(amp);
+    skip_marks(amp);
     ta_player_skip(&amp->player, amp->state, amp->start_pending);
 }
 

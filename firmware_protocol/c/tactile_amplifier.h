@@ -13,6 +13,7 @@
 
 #include "tactile_guard.h"
 #include "tactile_hal.h"
+#include "tactile_marks.h"
 #include "tactile_packet.h"
 #include "tactile_player.h"
 #include "tactile_reports.h"
@@ -28,6 +29,7 @@ typedef struct {
     uint16_t fifo_samples; /* at most TA_FIFO, and 64 ms at rate_max_hz at least */
     uint16_t sense_range_ua; /* of the current at power-up, not 0 where the HAL has `currents` */
     uint8_t current_delay;   /* instants by which its codes are late, at most TA_CURRENT_DELAY */
+    uint8_t marker_lines;    /* at most TA_MARKER_LINES; 0: none */
     uint32_t lateness; /* ticks by which an instant may be late; 0: any. Later ones are skipped (7.1) */
     uint32_t tick_hz;     /* 10 x rate_max_hz at least */
     uint32_t rate_min_hz; /* at least 1 kHz */
@@ -45,6 +47,7 @@ typedef struct {
     ta_hal hal;
     ta_counters counters;
     ta_player player;
+    ta_marks marks;
 
     /* State, section 6. */
     uint8_t state;
@@ -129,7 +132,7 @@ bool ta_init(ta_amplifier *amp, const ta_config *config, const ta_hal *hal);
  * allows. */
 void ta_run(ta_amplifier *amp, uint64_t now);
 
-/* Sends what the instants have noted: PULSE, LOG, SENSE, CORRELATION and GUARDED. The loop of firmware of two
+/* Sends what the instants have noted: PULSE, LOG, SENSE, CORRELATION, GUARDED and MARKED. The loop of firmware of two
  * contexts calls it once per ms or so; with one context it has nothing to do. */
 void ta_serve(ta_amplifier *amp);
 

@@ -1,5 +1,5 @@
 /* What SPEC.md asks of a board: the ranges of CAPS (section 4), the e-stop input (6.3), the spectrum
- * profile (10), the way to 0 V (11.1) and the range of the current (16). */
+ * profile (10), the way to 0 V (11.1), the range of the current (16) and the marker lines (18). */
 #include "tactile_internal.h"
 
 #define RATE_LEAST 1000u
@@ -113,6 +113,7 @@ static const char *not_allowed(const ta_config *c, const ta_hal *hal, ta_bounds 
     const ta_bounds rows[] = {
         {"slew_limit_v_per_s", c->slew_limit_v_per_s, least_slew(c), SLEW_MOST},
         {"formats", c->formats, 1, FORMATS},
+        {"marker_lines", c->marker_lines, 0, TA_MARKER_LINES},
         {"carriers", c->carriers, 1, TA_CARRIERS},
         {"estop_open", c->full_scale_uv, 1, TP_UNGUARDED_MOST_UV},
         {"sense_range_ua", c->sense_range_ua, 1, UINT16_MAX},
@@ -123,6 +124,7 @@ static const char *not_allowed(const ta_config *c, const ta_hal *hal, ta_bounds 
     const bool wrong[] = {
         rows[0].value < rows[0].least || rows[0].value > rows[0].most,
         (c->formats & FORMATS) == 0,
+        c->marker_lines >= TA_MARKER_LINES + 1u,
         spectrum && c->carriers == 0,
         hal->estop_open == NULL && c->full_scale_uv > TP_UNGUARDED_MOST_UV,
         hal->currents != NULL && c->sense_range_ua == 0,
@@ -147,6 +149,7 @@ const char *ta_config_fault(const ta_config *c, const ta_hal *hal, ta_bounds *bo
                    : hal->put_out == NULL      ? "put_out"
                    : hal->high_voltage == NULL ? "high_voltage"
                    : (hal->mask == NULL) != (hal->unmask == NULL) ? "unmask"
+                   : hal->marks == NULL && c->marker_lines != 0   ? "marks"
                                                : NULL;
     if (fault->field != NULL) {
         return fault->field;

@@ -33,6 +33,9 @@
 #ifndef TA_CORRELATES
 #define TA_CORRELATES 1 /* 0 leaves CORRELATION out, and its memory */
 #endif
+#ifndef TA_MARKER_LINES
+#define TA_MARKER_LINES 8 /* largest number of marker lines; 0 leaves MARK out */
+#endif
 #ifndef TA_CURRENT_DELAY
 #define TA_CURRENT_DELAY 0 /* largest number of instants by which currents may be late (16.1) */
 #endif
@@ -63,6 +66,7 @@ TA_ASSERT(carriers, TA_CARRIERS >= 1 && TA_CARRIERS <= (int)TP_CARRIERS_MAX);
 TA_ASSERT(packet, TA_PACKET_MAX >= TA_PACKET_LEAST && TA_PACKET_MAX <= (int)TP_PACKET_MAX);
 TA_ASSERT(queue, TA_QUEUE >= 1 && TA_QUEUE <= 255);
 TA_ASSERT(transfers, TA_TRANSFERS >= 1);
+TA_ASSERT(marker_lines, TA_MARKER_LINES >= 0 && TA_MARKER_LINES <= (int)TP_MARKER_LINES_MOST);
 TA_ASSERT(current_delay, TA_CURRENT_DELAY >= 0 && TA_CURRENT_DELAY <= 200);
 TA_ASSERT(replies, TA_REPLIES >= 4 * (2 + TP_STATUS_SIZE + TA_OVERHEAD) && TA_REPLIES <= 65535);
 

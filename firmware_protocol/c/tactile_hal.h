@@ -1,9 +1,9 @@
 /* Functions of the board for the amplifier: a port fills in this struct, and nothing else.
  *
  * All functions are called from where the core is called, and must not call back into it. In firmware of two
- * contexts (tactile_amplifier.h) put_out, currents, estop_open and after belong to the interrupt; send, clock,
- * identify, sense, supply_mv and temperature_mk to the loop, where they may take their time; high_voltage, fault
- * and sense_range are called from either, and within a lock.
+ * contexts (tactile_amplifier.h) put_out, marks, currents, estop_open and after belong to the interrupt; send,
+ * clock, identify, sense, supply_mv and temperature_mk to the loop, where they may take their time; high_voltage,
+ * fault and sense_range are called from either, and within a lock.
  */
 #ifndef TACTILE_HAL_H
 #define TACTILE_HAL_H
@@ -59,6 +59,12 @@ typedef struct {
      * the ADC, and 32767 or -32767 says that it was at an end of it. Sample the currents by the clock that
      * puts out the codes, and wait here for the conversion. CAPS has the feature if this is not NULL. */
     void (*currents)(void *context, int16_t *codes);
+
+    /* Sets the marker lines: line k is high where bit k is set (18). It is called directly before put_out, at each
+     * instant at which they change, and belongs to the codes of that instant: latch both at the same moment. Set all
+     * lines with one write to a register, and keep them low from reset until the first call. It must not be NULL
+     * where marker_lines of the configuration is not 0. */
+    void (*marks)(void *context, uint8_t lines);
 
     /* Switches the range of the current; returns false for one that the board does not have. NULL stands
      * for a board that has the range of its configuration only. */

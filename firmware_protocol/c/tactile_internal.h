@@ -47,6 +47,7 @@ void ta_note_log(ta_amplifier *amp, uint8_t level, const char *text, uint8_t fau
 void ta_note_sense(ta_amplifier *amp);
 void ta_note_correlation(ta_amplifier *amp);
 void ta_note_guarded(ta_amplifier *amp, uint32_t position);
+void ta_note_marked(ta_amplifier *amp, uint32_t position);
 
 /* Notes PULSE if the state has changed since the last call. */
 void ta_announce(ta_amplifier *amp);
@@ -58,6 +59,12 @@ bool ta_input_open(const ta_amplifier *amp, uint64_t now);
 bool ta_correlates(const ta_amplifier *amp);
 void ta_correlation_start(ta_amplifier *amp);
 void ta_correlation_stop(ta_amplifier *amp);
+
+/* Returns whether the board has marker lines (18). */
+static inline bool ta_has_markers(const ta_amplifier *amp)
+{
+    return TA_MARKER_LINES != 0 && amp->config.marker_lines != 0;
+}
 
 /* Returns the phase that the host is told, which is STILL except in RUNNING. */
 uint8_t ta_phase(const ta_amplifier *amp);
@@ -107,6 +114,7 @@ ta_verdict ta_act_pcm(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_carriers(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_guard(ta_amplifier *amp, const ta_request *r);
 ta_verdict ta_act_spectrum(ta_amplifier *amp, const ta_request *r);
+ta_verdict ta_act_mark(ta_amplifier *amp, const ta_request *r);
 
 void ta_send_caps(ta_amplifier *amp);
 

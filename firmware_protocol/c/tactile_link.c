@@ -165,6 +165,7 @@ bool ta_can_send(ta_can *link, const uint8_t *packet, size_t size)
     case TP_SENSE:
     case TP_LOG:
     case TP_CORRELATION:
+    case TP_MARKED:
         return can_transfer(link, TP_CAN_CLASS_BULK, packet, size);
     default:
         return can_transfer(link, TP_CAN_CLASS_RESPONSE, packet, size);

@@ -78,6 +78,18 @@ void ta_note_guarded(ta_amplifier *amp, uint32_t position)
 
 #endif
 
+#if TA_MARKER_LINES > 0
+
+void ta_note_marked(ta_amplifier *amp, uint32_t position)
+{
+    ta_report report = {.kind = TA_REPORT_MARKED};
+    report.of.marked.position = position;
+    report.of.marked.code = amp->marks.lines;
+    note(amp, &report);
+}
+
+#endif
+
 /* Sending, from ta_serve */
 
 void ta_send(ta_amplifier *amp, uint8_t type, uint8_t *packet, size_t payload_size)
@@ -225,6 +237,16 @@ static void send_guarded(ta_amplifier *amp, const ta_report *report)
 
 #endif
 
+#if TA_MARKER_LINES > 0
+
+static void send_marked(ta_amplifier *amp, const ta_report *report)
+{
+    uint8_t packet[TA_OVERHEAD + TP_MARKED_SIZE];
+    ta_send(amp, TP_MARKED, packet, tp_marked_encode(&report->of.marked, packet + TA_HEADER, TP_MARKED_SIZE));
+}
+
+#endif
+
 static void send_report(ta_amplifier *amp, const ta_report *report)
 {
     switch (report->kind) {
@@ -243,6 +265,11 @@ static void send_report(ta_amplifier *amp, const ta_report *report)
         break;
     case TA_REPORT_GUARDED:
         send_guarded(amp, report);
+        break;
+#endif
+#if TA_MARKER_LINES > 0
+    case TA_REPORT_MARKED:
+        send_marked(amp, report);
         break;
 #endif
     default: /* nothing else is noted */

@@ -5,14 +5,15 @@
 
 #include "tactile_core.h"
 
-#define TA_REPORTS 16u /* reports that wait; an instant notes nine at most */
+#define TA_REPORTS 16u /* reports that wait; an instant notes ten at most */
 
 typedef enum {
     TA_REPORT_PULSE,
     TA_REPORT_LOG,
     TA_REPORT_SENSE,
     TA_REPORT_CORRELATION,
-    TA_REPORT_GUARDED
+    TA_REPORT_GUARDED,
+    TA_REPORT_MARKED
 } ta_report_kind;
 
 typedef struct {
@@ -27,6 +28,7 @@ typedef struct {
             ta_set residual; /* channels that have tripped, by the reason */
             ta_set lost;
         } guarded;
+        tp_marked marked;
     } of;
 } ta_report;
 

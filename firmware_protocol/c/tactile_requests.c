@@ -69,7 +69,14 @@ static const rule rules[] = {
     [TP_CARRIERS] = {ta_act_carriers, TP_CARRIERS_SIZE, 0, false, true, ta_on_carriers},
     [TP_SPECTRUM] = {ta_act_spectrum, TP_SPECTRUM_SIZE, 4, false, false, NULL},
     [TP_GUARD] = {ta_act_guard, TP_GUARD_SIZE, 0, false, false, NULL},
+    [TP_MARK] = {ta_act_mark, 0, 0, false, true, NULL},
 };
+
+/* Whether a message is of a feature that the board does not have. */
+static bool lacks(const ta_amplifier *amp, uint8_t type)
+{
+    return (type == TP_GUARD && !ta_correlates(amp)) || (type == TP_MARK && !ta_has_markers(amp));
+}
 
 static bool owns(const ta_amplifier *amp, const ta_request *r, size_t at)
 {
@@ -101,7 +108,7 @@ static ta_verdict judge(ta_amplifier *amp, const ta_request *r)
         return ta_refuse_as(amp, &amp->counters.unsupported, TP_NAK_UNSUPPORTED, p->flags);
     }
     bool known = p->type < sizeof rules / sizeof rules[0] && rules[p->type].act != NULL;
-    if (!known || (p->type == TP_GUARD && !ta_correlates(amp))) {
+    if (!known || lacks(amp, p->type)) {
         return ta_refuse_as(amp, &amp->counters.unknown_type, TP_NAK_UNKNOWN_TYPE, 0);
     }
     const rule *u = &rules[p->type];

@@ -28,6 +28,7 @@ void ta_send_caps(ta_amplifier *amp)
     m.fade_limit_us = c->fade_limit_us;
     m.firmware = c->firmware;
     memcpy(m.name, c->name, sizeof m.name);
+    m.marker_lines = c->marker_lines;
     ta_send(amp, TP_CAPS, packet, tp_caps_encode(&m, packet + TA_HEADER, TP_CAPS_SIZE));
 }
 

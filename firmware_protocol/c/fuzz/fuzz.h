@@ -10,6 +10,7 @@
 #define HOLDS(condition) ((condition) ? (void)0 : abort())
 
 #define FUZZ_SESSION 0x1234u
+#define FUZZ_MARKER_LINES 3u
 
 typedef struct {
     ta_amplifier amp;
@@ -17,6 +18,7 @@ typedef struct {
     bool arming; /* a valid ARM is being fed */
     bool plays;  /* the last codes are not all 0 */
     bool estop_open;
+    uint8_t lines; /* marker lines that are high */
     uint64_t latest;  /* tick of the latest instant */
     uint64_t resumed; /* tick of the latest instant before which others were skipped */
     int16_t codes[TA_CHANNELS];
@@ -55,6 +57,7 @@ static inline void fuzz_put_out(void *context, uint64_t tick, uint32_t position,
         b->plays = b->plays || codes[c] != 0;
     }
     HOLDS(!b->plays || b->amp.high_voltage);
+    HOLDS(b->lines == b->amp.marks.lines);
 }
 
 /* Duty 3: 170 ms and a sample after the last heartbeat, or after a stall as long as the way to 0 V takes. */
@@ -64,6 +67,15 @@ static inline uint64_t fuzz_deadline(const fuzz_board *b)
     uint64_t watchdog = amp->heartbeat + 150000u;
     uint64_t begin = b->resumed > watchdog ? b->resumed : watchdog;
     return begin + 20000u + fuzz_period(amp);
+}
+
+/* 18: marks begin in what plays, on lines that there are. */
+static inline void fuzz_marks(void *context, uint8_t lines)
+{
+    fuzz_board *b = context;
+    HOLDS(lines != b->lines && lines >> FUZZ_MARKER_LINES == 0);
+    HOLDS(lines == 0 || (b->amp.state == TP_STATE_RUNNING && b->amp.player.phase == TP_PHASE_PLAYING));
+    b->lines = lines;
 }
 
 static inline void fuzz_after(void *context, uint64_t tick, uint8_t state, bool high_voltage)
@@ -131,6 +143,8 @@ static inline void fuzz_power_up(fuzz_board *b, uint16_t packet_limit)
     hal.context = b;
     hal.send = fuzz_send;
     hal.put_out = fuzz_put_out;
+    hal.marks = fuzz_marks;
+    config.marker_lines = FUZZ_MARKER_LINES;
     hal.after = fuzz_after;
     hal.high_voltage = fuzz_high_voltage;
     hal.sense = fuzz_sense;

@@ -140,6 +140,14 @@ static size_t made_guard(const uint8_t *a, uint8_t *out)
     return TP_GUARD_SIZE + TA_GUARD_ENTRY * channels;
 }
 
+static size_t made_mark(const ta_player *p, const uint8_t *a, uint8_t *out)
+{
+    tp_put_le(out + 2, p->position + a[0] - 16u, 4);
+    out[6] = a[1] % 9u;
+    tp_put_le(out + 7, a[2] % 32u, 2);
+    return TP_MARK_SIZE;
+}
+
 /* A payload that fits the type, of five numbers. */
 static size_t made(const ta_player *p, uint8_t type, const uint8_t *a, uint8_t *out)
 {
@@ -174,6 +182,8 @@ static size_t made(const ta_player *p, uint8_t type, const uint8_t *a, uint8_t *
         return made_frame(p, a, out);
     case TP_GUARD:
         return made_guard(a, out);
+    case TP_MARK:
+        return made_mark(p, a, out);
     default:
         memcpy(out + 2, a, 5);
         return 7;

@@ -22,6 +22,7 @@ static const explanation explanations[] = {
     {"slew_limit_v_per_s", "--slew-v-per-s",
      "SPEC.md 11.1: to 0 V from --voltage-limit-uv in 20 ms at every rate"},
     {"fade_limit_us", "--fade-us", "SPEC.md 11.1"},
+    {"marker_lines", "--marker-lines", "SPEC.md 4"},
     {"sense_range_ua", "--sense-ranges-ua", "SPEC.md 16"},
     {"current_delay", "--current-delay", "the room of this program"},
 };

@@ -21,13 +21,26 @@ static const char usage[] =
     "  --sense-ranges-ua LIST  measure for CORRELATION, and SENSE, with these ranges of the current, such\n"
     "                     as 2500,20000; that at power-up first\n"
     "  --current-delay N  take these currents as late by so many instants, 0 to 64\n"
+    "  --marker-lines N   have so many marker lines, 0 to 8; without it 8 while it serves, 0 in a replay\n"
     "  --link serial|can|i2c|smbus|packet     answer over this link, whatever is fed\n"
     "  --out FILE         a record per instant: u64 tick, u32 position, u8 state,\n"
     "                     u8 high voltage, i16 per channel\n"
-    "  --sent FILE        a record per frame sent: u64 tick, u8 kind, u32 length, bytes\n"
+    "  --sent FILE        a record per frame sent, and per change of the high voltage and the marker lines:\n"
+    "                     u64 tick, u8 kind, u32 length, bytes\n"
     "while it serves, SIGUSR1 pulls the e-stop button and SIGUSR2 releases it\n";
 
-static void defaults(virtual_options *o)
+/* Whether the arguments have an option. */
+static bool given(int argc, char **argv, const char *name)
+{
+    int i = 1;
+    while (i < argc && strcmp(argv[i], name) != 0) {
+        i++;
+    }
+    return i < argc;
+}
+
+/* Of a replay no feature is there that is not asked for; who serves can try what marks do. */
+static void defaults(virtual_options *o, bool replay)
 {
     memset(o, 0, sizeof *o);
     o->link = -1;
@@ -45,6 +58,7 @@ static void defaults(virtual_options *o)
     o->config.slew_limit_v_per_s = 700000;
     o->config.fade_limit_us = 20000;
     o->config.firmware = 0x00010000;
+    o->config.marker_lines = replay ? 0 : TA_MARKER_LINES;
     memcpy(o->config.name, "virtual", 7);
 }
 
@@ -85,6 +99,7 @@ static int take_number(virtual_options *o, const char *name, const char *text)
         {"--channels", &c->channels, 1},
         {"--carriers", &c->carriers, 1},
         {"--node", &c->node, 1},
+        {"--marker-lines", &c->marker_lines, 1},
         {"--current-delay", &c->current_delay, 1},
         {"--formats", &c->formats, 2},
         {"--fifo", &c->fifo_samples, 2},
@@ -218,7 +233,7 @@ static bool take_value(virtual_options *o, const char *name, const char *value)
 
 bool virtual_parse(virtual_options *o, int argc, char **argv)
 {
-    defaults(o);
+    defaults(o, given(argc, argv, "--replay"));
     for (int i = 1; i < argc; i++) {
         if (strcmp(argv[i], "--help") == 0) {
             fputs(usage, stdout);

@@ -25,7 +25,9 @@ enum {
     KIND_CURRENTS = 14,
     KIND_SENSE = 15,
     KIND_SENSE_RANGE = 16,
-    KIND_DONE = 17 /* all has been done that the latest record demanded */
+    KIND_DONE = 17, /* all has been done that the latest record demanded */
+
+    KIND_MARKS = 18 /* of what was sent, and of an emulated part: the HAL has set the marker lines */
 };
 
 #endif

@@ -57,6 +57,15 @@ static void hal_put_out(void *context, uint64_t tick, uint32_t position, const i
     }
 }
 
+static void hal_marks(void *context, uint8_t lines)
+{
+    virtual_amplifier *v = context;
+    uint8_t content[5];
+    tp_put_le(content, v->amp.player.position, 4);
+    content[4] = lines;
+    virtual_record(v, KIND_MARKS, content, sizeof content);
+}
+
 static void flush_out(virtual_amplifier *v)
 {
     fflush(v->out);
@@ -220,6 +229,7 @@ bool virtual_open(virtual_amplifier *v, const virtual_options *options)
     hal.context = v;
     hal.send = hal_send;
     hal.put_out = hal_put_out;
+    hal.marks = hal_marks;
     hal.high_voltage = hal_high_voltage;
     hal.after = hal_after;
     hal.estop_open = hal_estop_open;

@@ -42,12 +42,19 @@ static inline void board_currents(void *context, int16_t *codes)
     memset(codes, 0, TA_CHANNELS * sizeof *codes);
 }
 
+static inline void board_marks(void *context, uint8_t lines)
+{
+    (void)context;
+    (void)lines;
+}
+
 /* The functions that a board must have; *open says whether its contact is open. */
 static inline ta_hal board_hal(bool *open)
 {
     ta_hal hal = {.context = open,
                   .send = board_send,
                   .put_out = board_put_out,
+                  .marks = board_marks,
                   .high_voltage = board_high_voltage,
                   .estop_open = board_estop_open};
     return hal;

@@ -70,6 +70,8 @@ static uint32_t payload_again(const ta_packet *packet)
         AGAIN(CORRELATION, correlation)
         AGAIN(GUARD, guard)
         AGAIN(GUARDED, guarded)
+        AGAIN(MARK, mark)
+        AGAIN(MARKED, marked)
     default:
         return NONE;
     }

@@ -31,6 +31,7 @@ static void read_line(char *at, ta_config *c, ta_hal *hal)
     c->fifo_samples = (uint16_t)number(&at);
     c->sense_range_ua = (uint16_t)number(&at);
     c->current_delay = (uint8_t)number(&at);
+    c->marker_lines = (uint8_t)number(&at);
     c->tick_hz = number(&at);
     c->rate_min_hz = number(&at);
     c->rate_max_hz = number(&at);

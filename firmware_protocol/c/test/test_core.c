@@ -639,6 +639,314 @@ static void test_skipping_ends_the_window(void)
     CHECK(put_outs == 3 && window->position == amp.last_position - 2 && amp.correlator.left == 80 - 3);
 }
 
+/* What an amplifier of marks did, an entry per instant from its START on, and what it reported. */
+#define MARKED_MOST 200
+#define MARKED_PACKET 200
+
+typedef struct {
+    ta_amplifier amp;
+    uint8_t lines; /* that were set last */
+    size_t sets;   /* calls that did so */
+    size_t instants;
+    uint8_t shown[MARKED_MOST];
+    uint32_t positions[MARKED_MOST];
+    size_t marked;
+    tp_marked reports[MARKED_MOST];
+    uint8_t refused; /* code of the latest NAK */
+    uint32_t detail;
+} marked_board;
+
+static bool take_report(void *context, const uint8_t *packet, size_t size)
+{
+    marked_board *b = context;
+    ta_packet p;
+    tp_nak nak;
+    CHECK(ta_packet_decode(&p, packet, size));
+    if (p.type == TP_MARKED) {
+        CHECK(p.size == TP_MARKED_SIZE);
+        CHECK(tp_marked_decode(&b->reports[b->marked++], p.payload, p.size));
+    } else if (p.type == TP_NAK && tp_nak_decode(&nak, p.payload, p.size)) {
+        b->refused = nak.code;
+        b->detail = nak.detail;
+    }
+    return true;
+}
+
+static void take_lines(void *context, uint8_t lines)
+{
+    marked_board *b = context;
+    CHECK(lines != b->lines);
+    b->lines = lines;
+    b->sets++;
+}
+
+static void take_instant(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
+{
+    marked_board *b = context;
+    (void)tick;
+    (void)codes;
+    b->shown[b->instants] = b->lines;
+    b->positions[b->instants++] = position;
+}
+
+static bool closed(void *context)
+{
+    (void)context;
+    return false;
+}
+
+static void request(ta_amplifier *amp, uint8_t type, const uint8_t *payload, size_t size)
+{
+    uint8_t packet[MARKED_PACKET];
+    ta_packet p = {.type = type, .flags = 0x60, .node = 1, .size = size};
+    if (size > 0) {
+        memcpy(packet + TA_HEADER, payload, size);
+    }
+    ta_receive(amp, packet, ta_packet_seal(packet, &p), amp->last_tick);
+}
+
+static void send_mark(ta_amplifier *amp, uint32_t position, uint8_t code, uint16_t samples)
+{
+    uint8_t payload[TP_MARK_SIZE];
+    tp_mark m = {1, position, code, samples};
+    request(amp, TP_MARK, payload, tp_mark_encode(&m, payload, sizeof payload));
+}
+
+static void begin_marks(marked_board *b, uint8_t lines)
+{
+    ta_config config = good_config();
+    ta_hal hal = {.context = b, .send = take_report, .put_out = take_instant, .marks = take_lines,
+                  .high_voltage = board_high_voltage, .estop_open = closed};
+    static const uint8_t hello[] = {1, 0, 1};
+    memset(b, 0, sizeof *b);
+    config.packet_limit = MARKED_PACKET;
+    config.marker_lines = lines;
+    config.lateness = 300;
+    CHECK(ta_init(&b->amp, &config, &hal));
+    request(&b->amp, TP_HELLO, hello, sizeof hello);
+}
+
+/* START in 1 ms. */
+static void start_marks(marked_board *b, uint32_t position)
+{
+    uint8_t payload[TP_START_SIZE];
+    static const uint8_t arm[] = {1, 0, TP_MODE_PCM, 0x40, 0x1F, 0, 0}; /* 8000 Hz */
+    tp_start start = {.session = 1, .position = position, .delay_ms = 1};
+    request(&b->amp, TP_ARM, arm, sizeof arm);
+    request(&b->amp, TP_START, payload, tp_start_encode(&start, payload, sizeof payload));
+}
+
+/* Up to START, from which on instants are counted. */
+static void await_start(marked_board *b)
+{
+    ta_run(&b->amp, b->amp.start_tick - 1);
+    b->instants = 0;
+}
+
+/* Samples from a position on, at 0 V. */
+static void send_samples(ta_amplifier *amp, uint32_t position, uint8_t samples)
+{
+    uint8_t payload[TP_PCM_SIZE + 2 * 60] = {0};
+    uint8_t data[2 * 60] = {0};
+    tp_pcm pcm = {.position = position, .session = 1, .channels = 1, .samples = samples, .data = data,
+                  .data_size = 2u * samples};
+    request(amp, TP_PCM, payload, tp_pcm_encode(&pcm, payload, sizeof payload));
+}
+
+/* An amplifier that plays from `position` on, and is to play 60 samples. */
+static void play_marks(marked_board *b, uint32_t position)
+{
+    begin_marks(b, 8);
+    start_marks(b, position);
+    await_start(b);
+    send_samples(&b->amp, position, 60);
+}
+
+static void pass(marked_board *b, unsigned instants)
+{
+    while (instants-- > 0) {
+        ta_run(&b->amp, ta_next_instant(&b->amp));
+    }
+}
+
+/* Checks that a code, and it alone, was on the lines at some instants. */
+static void check_shown(const marked_board *b, uint8_t code, size_t first, size_t count)
+{
+    for (size_t i = 0; i < b->instants; i++) {
+        CHECK((b->shown[i] == code) == (i >= first && i < first + count));
+    }
+}
+
+static marked_board marked;
+
+/* 18.2: with its sample, for as long as it says, over the wrap of positions, and reported. */
+static void test_marks_are_shown_with_their_samples(void)
+{
+    marked_board *b = &marked;
+    play_marks(b, UINT32_MAX - 9);
+    send_mark(&b->amp, 5, 0x81, 3);
+    send_mark(&b->amp, UINT32_MAX - 9, 2, 1); /* with the first sample */
+    send_mark(&b->amp, 10, 4, 30);
+    send_mark(&b->amp, 20, 8, 1); /* ends the one before */
+    pass(b, 60);
+    CHECK(b->positions[15] == 5);
+    check_shown(b, 2, 0, 1);
+    check_shown(b, 0x81, 15, 3);
+    check_shown(b, 4, 20, 10);
+    check_shown(b, 8, 30, 1);
+    CHECK(b->sets == 7 && b->marked == 4 && b->amp.marks.count == 0);
+    CHECK(b->reports[0].position == UINT32_MAX - 9 && b->reports[0].code == 2);
+    CHECK(b->reports[1].position == 5 && b->reports[1].code == 0x81);
+    CHECK(b->reports[3].position == 20 && b->reports[3].code == 8);
+    play_marks(b, 0);
+    send_mark(&b->amp, 10, 3, 5);
+    send_mark(&b->amp, 12, 3, 5); /* the same code goes on, and is reported again */
+    pass(b, 30);
+    check_shown(b, 3, 10, 7);
+    CHECK(b->sets == 2 && b->marked == 2);
+}
+
+/* 18.2: which marks are kept, and which are dropped without a count. */
+static void test_marks_are_kept_or_dropped(void)
+{
+    marked_board *b = &marked;
+    const ta_counters *counters = &b->amp.counters;
+    play_marks(b, 100);
+    pass(b, 10);
+    CHECK(b->amp.player.position == 110);
+    send_mark(&b->amp, 109, 1, 1);
+    CHECK(b->amp.marks.count == 0);
+    send_mark(&b->amp, 110 + 512, 1, 1);
+    CHECK(b->amp.marks.count == 0);
+    send_mark(&b->amp, 110 + 511, 1, 1);
+    send_mark(&b->amp, 110, 1, 1);
+    CHECK(b->amp.marks.count == 2);
+    for (uint8_t i = 0; i < 6; i++) {
+        send_mark(&b->amp, 120u + i, 1, 1);
+    }
+    CHECK(b->amp.marks.count == 8);
+    send_mark(&b->amp, 130, 1, 1); /* the ninth */
+    CHECK(b->amp.marks.count == 8);
+    send_mark(&b->amp, 121, 7, 2); /* in the place of another */
+    CHECK(b->amp.marks.count == 8);
+    pass(b, 30);
+    CHECK(b->shown[10] == 1 && b->shown[20] == 1 && b->shown[21] == 7 && b->shown[22] == 1);
+    CHECK(b->shown[30] == 0 && b->marked == 7 && b->amp.marks.count == 1);
+    CHECK(counters->late_samples == 0 && counters->future_samples == 0 && counters->refused == 0);
+}
+
+/* 18.2: before START's time, in WAITING and in STARVED nothing is put out of a position, and nothing is shown. */
+static void test_marks_of_samples_that_do_not_play_are_not_shown(void)
+{
+    marked_board *b = &marked;
+    begin_marks(b, 8);
+    start_marks(b, 0);
+    await_start(b);
+    send_mark(&b->amp, 1, 1, 1);
+    pass(b, 3); /* WAITING */
+    CHECK(b->amp.player.position == 3 && b->amp.marks.count == 0 && b->sets == 0);
+    send_samples(&b->amp, 3, 10);
+    send_mark(&b->amp, 12, 2, 1);
+    send_mark(&b->amp, 13, 4, 1); /* no sample */
+    pass(b, 20);
+    check_shown(b, 2, 12, 1);
+    check_shown(b, 4, 0, 0);
+    CHECK(b->amp.player.phase == TP_PHASE_STARVED && b->marked == 1 && b->amp.marks.count == 0);
+}
+
+/* The tick of START may be to come: the mark of its position stays. */
+static void test_marks_wait_for_the_start(void)
+{
+    marked_board *b = &marked;
+    begin_marks(b, 8);
+    start_marks(b, 50);
+    send_samples(&b->amp, 50, 60);
+    send_mark(&b->amp, 50, 1, 1);
+    while (b->amp.start_pending) {
+        CHECK(b->sets == 0);
+        pass(b, 1);
+    }
+    CHECK(b->instants > 5 && b->lines == 1 && b->marked == 1);
+    pass(b, 5);
+    check_shown(b, 1, b->instants - 6, 1);
+}
+
+/* 18.2: a recorder sees the whole pulse, also where an e-stop or a stop and a new START come meanwhile; they forget
+ * the marks that are kept. */
+static void test_a_pulse_is_whole_whatever_comes(void)
+{
+    marked_board *b = &marked;
+    static const uint8_t reason = 1;
+    static const uint8_t stop[] = {1, 0, 1};
+    play_marks(b, 0);
+    send_mark(&b->amp, 5, 1, 40);
+    send_mark(&b->amp, 20, 2, 40);
+    pass(b, 10);
+    request(&b->amp, TP_ESTOP, &reason, 1);
+    CHECK(b->amp.state == TP_STATE_ESTOP);
+    pass(b, 50);
+    check_shown(b, 1, 5, 40);
+    check_shown(b, 2, 0, 0);
+    CHECK(b->lines == 0 && b->marked == 1);
+
+    play_marks(b, 0);
+    send_mark(&b->amp, 5, 1, 40);
+    send_mark(&b->amp, 20, 2, 40);
+    pass(b, 10);
+    request(&b->amp, TP_STOP, stop, sizeof stop);
+    pass(b, 1);
+    start_marks(b, 15);
+    CHECK(b->amp.state == TP_STATE_RUNNING && b->amp.marks.count == 0 && b->lines == 1);
+    send_samples(&b->amp, 15, 60);
+    pass(b, 50);
+    CHECK(b->amp.player.phase == TP_PHASE_PLAYING && b->amp.player.position > 20 + 15);
+    check_shown(b, 1, 5, 40);
+    check_shown(b, 2, 0, 0);
+    CHECK(b->sets == 2);
+}
+
+/* 7.1: the mark of a skipped instant is lost, and one that is shown takes no longer. */
+static void test_skipped_instants_lose_their_marks(void)
+{
+    marked_board *b = &marked;
+    play_marks(b, 0);
+    send_mark(&b->amp, 5, 1, 15);
+    send_mark(&b->amp, 12, 2, 1);
+    pass(b, 10); /* up to position 9 */
+    ta_run(&b->amp, b->amp.next + 7 * 125); /* 10 to 14 are skipped */
+    CHECK(b->instants == 13 && b->positions[10] == 15 && b->amp.marks.count == 0);
+    pass(b, 10);
+    CHECK(b->positions[14] == 19 && b->shown[14] == 1 && b->shown[15] == 0 && b->sets == 2);
+    play_marks(b, 0);
+    send_mark(&b->amp, 5, 1, 7);
+    pass(b, 10);
+    ta_run(&b->amp, b->amp.next + 7 * 125); /* its end is among the skipped */
+    CHECK(b->positions[10] == 15 && b->shown[9] == 1 && b->shown[10] == 0 && b->sets == 2);
+}
+
+/* 5: MARK is of no type without lines, and without a stream ignored. */
+static void test_marks_that_are_refused(void)
+{
+    marked_board *b = &marked;
+    begin_marks(b, 0);
+    start_marks(b, 0);
+    send_mark(&b->amp, 5, 1, 1);
+    CHECK(b->refused == TP_NAK_UNKNOWN_TYPE && b->amp.counters.unknown_type == 1);
+    begin_marks(b, 3);
+    send_mark(&b->amp, 5, 0, 0);
+    CHECK(b->refused == TP_NAK_STATE && b->detail == 0 && b->amp.counters.ignored == 1);
+    start_marks(b, 0);
+    send_mark(&b->amp, 5, 0, 0);
+    CHECK(b->refused == TP_NAK_RANGE && b->detail == 2);
+    b->detail = 0;
+    send_mark(&b->amp, 5, 8, 1);
+    CHECK(b->refused == TP_NAK_RANGE && b->detail == 2);
+    send_mark(&b->amp, 5, 7, 0);
+    CHECK(b->refused == TP_NAK_RANGE && b->detail == 3 && b->amp.counters.refused == 3);
+    send_mark(&b->amp, 5, 7, 1);
+    CHECK(b->amp.counters.refused == 3 && b->amp.marks.count == 1);
+}
+
 static void mask_nothing(void *context)
 {
     (void)context;
@@ -674,6 +982,7 @@ static void test_configuration(void)
     REFUSED(fade_limit_us, 20001);
     REFUSED(slew_limit_v_per_s, 5103); /* enough at 2500 and at 8000 Hz */
     REFUSED(formats, 0xFFF0);
+    REFUSED(marker_lines, 9);
     good.fifo_samples = 511;
     CHECK(named(&good, &hal, "fifo_samples"));
     CHECK(ta_config_fault(&good, &hal, &bounds) != NULL && bounds.value == 511 && bounds.least == 512);
@@ -727,6 +1036,11 @@ static void test_configuration_of_the_board(void)
     hal = board_hal(&open);
     hal.mask = mask_nothing;
     CHECK(named(&good, &hal, "unmask"));
+    hal = board_hal(&open);
+    hal.marks = NULL;
+    CHECK(ta_config_fault(&good, &hal, NULL) == NULL);
+    good.marker_lines = 1;
+    CHECK(named(&good, &hal, "marks"));
 }
 
 /* Replies that wait for an I2C host: as many as there is room for, to the last byte, in order, at
@@ -831,5 +1145,12 @@ int main(void)
     test_input_is_read_at_instants();
     test_skipping_keeps_the_clock();
     test_skipping_ends_the_window();
+    test_marks_are_shown_with_their_samples();
+    test_marks_are_kept_or_dropped();
+    test_marks_of_samples_that_do_not_play_are_not_shown();
+    test_marks_wait_for_the_start();
+    test_a_pulse_is_whole_whatever_comes();
+    test_skipped_instants_lose_their_marks();
+    test_marks_that_are_refused();
     return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
 }

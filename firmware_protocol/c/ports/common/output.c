@@ -8,17 +8,25 @@
 typedef struct {
     uint64_t tick;
     int16_t codes[TA_CHANNELS];
+    uint8_t lines; /* of the markers */
 } instant;
 
 static instant queue[PORT_QUEUE];
 static volatile uint32_t queued;
 static volatile uint32_t latched;
+static uint8_t lines; /* of the instants that come; the interrupt of the instants alone uses it */
 
 /* Variables of the interrupt of the latch alone. */
 static bool loaded;    /* the oldest of the queue is in the DACs */
 static uint64_t due;   /* when it is to be latched */
 static instant latest; /* what was latched last */
 static uint64_t moved; /* when the outputs last changed */
+
+void port_marks(void *context, uint8_t code)
+{
+    (void)context;
+    lines = code;
+}
 
 void port_put_out(void *context, uint64_t tick, uint32_t position, const int16_t *codes)
 {
@@ -29,6 +37,7 @@ void port_put_out(void *context, uint64_t tick, uint32_t position, const int16_t
     instant *next = &queue[queued % PORT_QUEUE];
     next->tick = tick;
     memcpy(next->codes, codes, sizeof next->codes);
+    next->lines = lines;
     __asm__ volatile("" ::: "memory"); /* complete before it is counted */
     queued++;
     port_pend(board.latch_irq);
@@ -74,6 +83,9 @@ void port_latch(void)
             return;
         }
         board_latch();
+        if (next->lines != latest.lines) {
+            board_mark(next->lines);
+        }
         moved = moves(next) ? port_ticks() : moved;
         latest = *next;
         loaded = false;

@@ -50,6 +50,10 @@ void board_load(const int16_t *codes);
 /* Puts out what has been loaded, unless a pin of the timer has done that already. */
 void board_latch(void);
 
+/* Sets the marker lines, all of them at once: line k is high where bit k is set. It is called directly after
+ * board_latch, at the latch with which they change. */
+void board_mark(uint8_t lines);
+
 void board_high_voltage(bool on);
 bool board_estop_open(void);
 void board_feed_watchdog(void);
@@ -88,6 +92,9 @@ bool port_write(void *context, const uint8_t *bytes, size_t size);
 
 /* Queues the codes of an instant; waits while the queue is full. */
 void port_put_out(void *context, uint64_t tick, uint32_t position, const int16_t *codes);
+
+/* Sets the marker lines that are queued with the codes from the next instant on. */
+void port_marks(void *context, uint8_t lines);
 
 /* The processor: the table of vectors, and interrupts (Armv6-M and Armv7-M, B3.4 NVIC). */
 

@@ -60,6 +60,7 @@ static void unmask(void *context)
 static const ta_hal hal = {
     .send = send,
     .put_out = port_put_out,
+    .marks = port_marks,
     .high_voltage = high_voltage,
     .estop_open = estop_open,
     .mask = mask,

@@ -10,6 +10,7 @@
  *     P0.22           LDAC: low latches what was loaded
  *     P0.18           enable of the high-voltage supply, low at reset by a resistor
  *     P0.17           e-stop input: the button A
+ *     P0.01 ... 03    marker lines 0 ... 2, the contacts 2, 1 and 0 of the edge; a resistor holds each low at reset
  *
  * QEMU has neither the DAC nor the supply nor the watchdog, and it does not run in time as a part does: it shows that
  * the port boots and answers, not that it is in time.
@@ -29,6 +30,8 @@
 #define HIGH_VOLTAGE (1u << 18)
 #define ESTOP_PIN 17u
 #define ESTOP (1u << ESTOP_PIN)
+#define MARKER_LINES 3u
+#define MARKERS(lines) ((uint32_t)(lines) << 1)
 #define TX_PIN 24u
 #define RX_PIN 25u
 
@@ -44,6 +47,7 @@ static const ta_config config = {
     .formats = 0x07,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .marker_lines = MARKER_LINES,
     .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 1000,
@@ -97,6 +101,13 @@ void board_latch(void)
 {
     GPIO_OUT_CLEAR = LDAC;
     GPIO_OUT_SET = LDAC;
+}
+
+/* Both writes are within 1 us. */
+void board_mark(uint8_t lines)
+{
+    GPIO_OUT_CLEAR = MARKERS(~lines & 7u);
+    GPIO_OUT_SET = MARKERS(lines);
 }
 
 void board_high_voltage(bool on)
@@ -186,7 +197,7 @@ PORT_INTERRUPTS = {[UART_IRQ] = uart, [TIMER0_IRQ] = latch, [TIMER1_IRQ] = run};
 static void begin_pins(void)
 {
     GPIO_OUT_SET = SYNC | LDAC;
-    GPIO_OUTPUTS_SET = SYNC | LDAC | CLOCK | DATA;
+    GPIO_OUTPUTS_SET = SYNC | LDAC | CLOCK | DATA | MARKERS(7u);
     GPIO_PIN(ESTOP_PIN) = GPIO_PIN_PULL_UP;
 }
 

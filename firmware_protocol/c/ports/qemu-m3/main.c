@@ -10,6 +10,7 @@
  *     PB3         LDAC of all of them: low latches what was loaded
  *     PB4         enable of the high-voltage supply, low at reset by a resistor
  *     PB5         e-stop input: the normally closed contact to ground, which QEMU leaves closed
+ *     PD4 ... 7   marker lines 0 ... 3; a resistor holds each low at reset
  *
  * QEMU has neither the DACs nor the supply, and it does not run in time as a part does: it shows that the port
  * boots and answers, not that it is in time.
@@ -31,6 +32,7 @@
 #define HIGH_VOLTAGE 0x10u
 #define ESTOP 0x20u
 #define PIXELS 0x80u
+#define MARKERS 0xF0u /* of port D; QEMU has the chip select of an SD card on PD0 */
 
 TA_ASSERT(channels_of_dacs, TA_CHANNELS % AD5672R_CHANNELS == 0);
 
@@ -44,6 +46,7 @@ static const ta_config config = {
     .formats = 0x0F,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .marker_lines = 4,
     .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
@@ -93,6 +96,11 @@ void board_latch(void)
 {
     GPIO_DATA(GPIOB, LDAC) = 0;
     GPIO_DATA(GPIOB, LDAC) = LDAC;
+}
+
+void board_mark(uint8_t lines)
+{
+    GPIO_DATA(GPIOD, MARKERS) = (uint32_t)lines << 4;
 }
 
 void board_high_voltage(bool on)
@@ -164,7 +172,7 @@ PORT_INTERRUPTS = {[UART0_IRQ] = uart, [TIMER0_IRQ] = latch, [TIMER1_IRQ] = run}
  * as long as PC7 is high, and else for commands. */
 static void begin_pins(void)
 {
-    RCGC2 |= RCGC2_GPIOA | RCGC2_GPIOC;
+    RCGC2 |= RCGC2_GPIOA | RCGC2_GPIOC | RCGC2_GPIOD;
     (void)RCGC2;
     (void)RCGC2;
     GPIO_AFSEL(GPIOA) = 0x27; /* UART and SSI */
@@ -176,6 +184,8 @@ static void begin_pins(void)
     GPIO_DIR(GPIOC) = PIXELS;
     GPIO_DEN(GPIOC) = PIXELS;
     GPIO_DATA(GPIOC, PIXELS) = PIXELS;
+    GPIO_DIR(GPIOD) = MARKERS;
+    GPIO_DEN(GPIOD) = MARKERS;
 }
 
 static void begin_timer(uint32_t timer)

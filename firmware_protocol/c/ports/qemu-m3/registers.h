@@ -16,11 +16,13 @@
 #define RCGC2_GPIOA (1u << 0)
 #define RCGC2_GPIOB (1u << 1)
 #define RCGC2_GPIOC (1u << 2)
+#define RCGC2_GPIOD (1u << 3)
 
 /* 8.5: GPIO; the address has the mask of the pins that are written or read */
 #define GPIOA 0x40004000u
 #define GPIOB 0x40005000u
 #define GPIOC 0x40006000u
+#define GPIOD 0x40007000u
 #define GPIO_DATA(port, pins) PORT_REGISTER((port) + ((pins) << 2))
 #define GPIO_DIR(port) PORT_REGISTER((port) + 0x400u)
 #define GPIO_AFSEL(port) PORT_REGISTER((port) + 0x420u)

@@ -10,6 +10,7 @@
  *     GPIO 3          LDAC of all of them: low latches what was loaded
  *     GPIO 4          enable of the high-voltage supply, low at reset by a resistor
  *     GPIO 5          e-stop input: the normally closed contact to ground, with a pull-up, which QEMU leaves closed
+ *     GPIO 8 ... 15   marker lines 0 ... 7; a resistor holds each low at reset
  *
  * QEMU has neither the DACs nor the supply nor this GPIO, and it does not run in time as a part does: it shows that
  * the port boots and answers, not that it is in time.
@@ -28,6 +29,7 @@
 #define LDAC 0x08u
 #define HIGH_VOLTAGE 0x10u
 #define ESTOP 0x20u
+#define MARKERS(lines) ((uint32_t)(lines) << 8)
 
 TA_ASSERT(channels_of_dacs, DACS * AD5672R_CHANNELS == TA_CHANNELS);
 
@@ -41,6 +43,7 @@ static const ta_config config = {
     .formats = 0x0F,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .marker_lines = 8,
     .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
@@ -86,6 +89,11 @@ void board_latch(void)
 {
     GPIO_MASKED(LDAC) = 0;
     GPIO_MASKED(LDAC) = LDAC;
+}
+
+void board_mark(uint8_t lines)
+{
+    GPIO_MASKED_HIGH(0xFFu) = MARKERS(lines);
 }
 
 void board_high_voltage(bool on)
@@ -174,7 +182,7 @@ PORT_INTERRUPTS = {
 int main(void)
 {
     GPIO_MASKED(SYNCS | LDAC) = SYNCS | LDAC;
-    GPIO_OUTPUTS = SYNCS | LDAC;
+    GPIO_OUTPUTS = SYNCS | LDAC | MARKERS(0xFFu);
     WATCHDOG_LOAD = TICK_HZ; /* a second: an emulator that stands still is no fault. A board takes less */
     WATCHDOG_CTRL = WATCHDOG_ENABLE;
     DUAL_CONTROL = DUAL_32_BITS | DUAL_ENABLE;

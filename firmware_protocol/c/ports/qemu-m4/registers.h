@@ -41,10 +41,11 @@ typedef struct {
 #define WATCHDOG_INTCLEAR PORT_REGISTER(0x4000800Cu)
 #define WATCHDOG_ENABLE 3u
 
-/* CMSDK GPIO: levels, directions, and pins 0 ... 7 through a mask in the address */
+/* CMSDK GPIO: levels, directions, and pins 0 ... 7, or 8 ... 15, through a mask in the address */
 #define GPIO_DATA PORT_REGISTER(0x40010000u)
 #define GPIO_OUTPUTS PORT_REGISTER(0x40010010u)
 #define GPIO_MASKED(pins) PORT_REGISTER(0x40010400u + 4u * (pins))
+#define GPIO_MASKED_HIGH(pins) PORT_REGISTER(0x40010800u + 4u * (pins))
 
 #define SPI0 ((pl022 *)0x40020000u)
 

@@ -4,12 +4,14 @@
  * emulation runs, and does what the functions of the HAL do. A pipe takes a report at once, a UART byte by byte,
  * which takes ten times as long. Both directions consist of records (host/records.h):
  *
- *   to the part    KIND_POWER_UP     fields of ta_config, u32 each, and whether the board measures
+ *   to the part    KIND_POWER_UP     fields of ta_config, u32 each, whether the board measures, and, if there are any,
+ *                                    the number of marker lines
  *                  KIND_SERIAL       no content: its length is that of bytes on the wire, which have come at its tick
  *                  KIND_NOTHING, KIND_FAULT, KIND_ESTOP_INPUT     as `virtual-amplifier --replay` takes them
  *   to the board   KIND_SERIAL       the same, of an answer
  *                  KIND_HIGH_VOLTAGE u8, 1: on
  *                  KIND_PUT_OUT      u32 position, u32 sample rate, i16 per channel
+ *                  KIND_MARKS        u32 position, u8 marker lines, before the KIND_PUT_OUT at which they change
  *                  KIND_AFTER        u8 state, u8 high voltage
  *                  KIND_DONE         after all that a record has caused; the next record may come
  *   with an answer KIND_CURRENTS     i16 per channel
@@ -85,6 +87,15 @@ static void put_out(void *context, uint64_t at, uint32_t position, const int16_t
         tp_put_le(content + 8u + 2u * c, (uint16_t)codes[c], 2);
     }
     report(KIND_PUT_OUT, content, 8u + 2u * amp.config.channels);
+}
+
+static void set_lines(void *context, uint8_t lines)
+{
+    uint8_t content[5];
+    (void)context;
+    tp_put_le(content, amp.player.position, 4);
+    content[4] = lines;
+    report(KIND_MARKS, content, sizeof content);
 }
 
 static void after(void *context, uint64_t at, uint8_t state, bool high_voltage)
@@ -178,11 +189,13 @@ static void power_up(const uint8_t *content)
     ta_config config = configuration(&content);
     ta_hal hal = {.send = send,
                   .put_out = put_out,
+                  .marks = set_lines,
                   .high_voltage = switch_voltage,
                   .estop_open = estop_open,
                   .after = after,
                   .sense_range = sense_range};
     hal.sense = field(&content) != 0 ? sense : NULL;
+    config.marker_lines = (uint8_t)field(&content);
     hal.currents = config.sense_range_ua != 0 ? currents : NULL;
     tick = 0;
     contact_open = false;
@@ -252,6 +265,7 @@ int main(void)
         if (kind == KIND_SERIAL) {
             receive(size);
         } else if (size <= sizeof content) {
+            memset(content, 0, sizeof content); /* a field that is not sent is 0 */
             uart_read(BOARD, content, size);
             take(kind, content);
         } else {

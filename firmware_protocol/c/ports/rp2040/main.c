@@ -2,6 +2,7 @@
  * been compiled, and has not run on a board. The second core stays in the boot ROM.
  *
  *     GP0, GP1      UART, 8N1, 1 Mbit/s
+ *     GP2 ... 9     marker lines 0 ... 7, which the pads pull low at reset
  *     GP17          SYNC of an AD5672R, 8 channels of 12 bits, low while it is loaded
  *     GP18, GP19    clock and data of the DAC
  *     GP20          LDAC: low latches what was loaded
@@ -23,6 +24,9 @@
 #define LEAD (TICK_HZ / 1000u) /* 1 ms from an instant to its latch: no masked section is as long */
 #define BIT_RATE 1000000u
 
+#define FIRST_MARKER_PIN 2u
+#define MARKER_LINES 8u
+#define MARKERS(lines) ((uint32_t)(lines) << FIRST_MARKER_PIN)
 #define SYNC (1u << 17)
 #define LDAC (1u << 20)
 #define HIGH_VOLTAGE_PIN 21u
@@ -45,6 +49,7 @@ static const ta_config config = {
     .formats = 0x07,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .marker_lines = MARKER_LINES,
     .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
@@ -100,6 +105,12 @@ void board_latch(void)
     SIO_OUT_CLEAR = LDAC; /* for 20 ns at least */
     SIO_OUT_CLEAR = LDAC;
     SIO_OUT_SET = LDAC;
+}
+
+/* One write changes all of them; nobody else changes these bits. */
+void board_mark(uint8_t lines)
+{
+    SIO_OUT_TOGGLE = (SIO_OUT ^ MARKERS(lines)) & MARKERS(0xFFu);
 }
 
 void board_high_voltage(bool on)
@@ -210,10 +221,13 @@ static void begin_watchdog(void)
 static void begin_pins(void)
 {
     SIO_OUT_SET = SYNC | LDAC;
-    SIO_OE_SET = SYNC | LDAC;
+    SIO_OE_SET = SYNC | LDAC | MARKERS(0xFFu);
     PAD(ESTOP_PIN) = PAD_INPUT_PULL_UP;
     GPIO_CTRL(0) = GPIO_UART;
     GPIO_CTRL(1) = GPIO_UART;
+    for (uint32_t line = 0; line < MARKER_LINES; line++) {
+        GPIO_CTRL(FIRST_MARKER_PIN + line) = GPIO_SIO;
+    }
     GPIO_CTRL(17) = GPIO_SIO;
     GPIO_CTRL(18) = GPIO_SPI;
     GPIO_CTRL(19) = GPIO_SPI;

@@ -62,8 +62,10 @@
 
 /* 2.3.1: levels of the pins */
 #define SIO_IN PORT_REGISTER(0xD0000004u)
+#define SIO_OUT PORT_REGISTER(0xD0000010u)
 #define SIO_OUT_SET PORT_REGISTER(0xD0000014u)
 #define SIO_OUT_CLEAR PORT_REGISTER(0xD0000018u)
+#define SIO_OUT_TOGGLE PORT_REGISTER(0xD000001Cu)
 #define SIO_OE_SET PORT_REGISTER(0xD0000024u)
 
 /* 4.6: the timer, which counts microseconds */

@@ -7,6 +7,7 @@
  *     PB0           enable of the high-voltage supply; a resistor of 10 k holds it low at reset
  *     PB1           e-stop input: the normally closed contact to ground
  *     PB10 ... 12   SYNC of each AD5672R, low while it is loaded
+ *     PC0 ... 7     marker lines 0 ... 7, some microseconds after LDAC; a resistor holds each low at reset
  *     NRST          RESET of the DACs: the part pulls it low at each reset, also that of its watchdog, and the
  *                   outputs go to 0 V without firmware (duty 9)
  *
@@ -25,6 +26,7 @@
 #define HIGH_VOLTAGE_PIN 0u
 #define ESTOP_PIN 1u
 #define SYNC_PIN(dac) (10u + (dac))
+#define MARKER_LINES 8u
 
 TA_ASSERT(channels_of_dacs, DACS * AD5672R_CHANNELS == TA_CHANNELS);
 
@@ -38,6 +40,7 @@ static const ta_config config = {
     .formats = 0x0F,
     .packet_limit = TA_PACKET_MAX,
     .fifo_samples = TA_FIFO,
+    .marker_lines = MARKER_LINES,
     .lateness = LEAD,
     .tick_hz = TICK_HZ,
     .rate_min_hz = 2500,
@@ -118,6 +121,12 @@ void board_latch(void)
     TIM2->ccmr1 = TIM_CCMR1_ACTIVE;
     TIM2->ccmr1 = TIM_CCMR1_ACTIVE; /* for 20 ns at least: a write takes two cycles of 6.7 ns */
     TIM2->ccmr1 = TIM_CCMR1_INACTIVE;
+}
+
+/* One write changes all of them: where it both sets and clears a pin, it sets it. */
+void board_mark(uint8_t lines)
+{
+    GPIOC->bsrr = 0xFFu << 16 | lines;
 }
 
 void board_high_voltage(bool on)
@@ -226,7 +235,7 @@ static void begin_clock(void)
 
 static void begin_pins(void)
 {
-    RCC_AHB2ENR |= RCC_AHB2ENR_GPIOA;
+    RCC_AHB2ENR |= RCC_AHB2ENR_GPIOA | RCC_AHB2ENR_GPIOC;
     (void)RCC_AHB2ENR;
     set_alternate(GPIOA, 0, 1); /* TIM2_CH1 */
     set_alternate(GPIOA, 2, 7); /* USART2_TX */
@@ -235,6 +244,9 @@ static void begin_pins(void)
     set_alternate(GPIOA, 7, 5); /* SPI1_MOSI */
     for (unsigned dac = 0; dac < DACS; dac++) {
         set_output(GPIOB, SYNC_PIN(dac), true);
+    }
+    for (unsigned line = 0; line < MARKER_LINES; line++) {
+        set_output(GPIOC, line, false);
     }
     GPIOB->pupdr |= GPIO_PULL_UP << 2u * ESTOP_PIN;
     set_mode(GPIOB, ESTOP_PIN, GPIO_INPUT);

@@ -30,6 +30,7 @@
 #define RCC_AHB2ENR PORT_REGISTER(0x4002104Cu)
 #define RCC_AHB2ENR_GPIOA (1u << 0)
 #define RCC_AHB2ENR_GPIOB (1u << 1)
+#define RCC_AHB2ENR_GPIOC (1u << 2)
 #define RCC_APB1ENR1 PORT_REGISTER(0x40021058u)
 #define RCC_APB1ENR1_TIM2 (1u << 0)
 #define RCC_APB1ENR1_TIM6 (1u << 4)
@@ -53,6 +54,7 @@ typedef struct {
 
 #define GPIOA ((gpio *)0x48000000u)
 #define GPIOB ((gpio *)0x48000400u)
+#define GPIOC ((gpio *)0x48000800u)
 #define GPIO_INPUT 0u
 #define GPIO_OUTPUT 1u
 #define GPIO_ALTERNATE 2u

@@ -23,6 +23,21 @@ static struct {
 } latches[1000];
 static size_t count;
 
+/* Changes of the marker lines, and when. */
+static struct {
+    uint64_t tick;
+    uint8_t lines;
+} marks[10];
+static size_t marked;
+
+static void check(bool good, const char *what)
+{
+    if (!good) {
+        printf("%s\n", what);
+        failures++;
+    }
+}
+
 uint64_t port_ticks(void)
 {
     return now;
@@ -44,12 +59,11 @@ void board_latch(void)
     latches[count++].code = in_dac;
 }
 
-static void check(bool good, const char *what)
+void board_mark(uint8_t lines)
 {
-    if (!good) {
-        printf("%s\n", what);
-        failures++;
-    }
+    check(count > 0 && latches[count - 1u].tick == now, "after the latch of the same tick");
+    marks[marked].tick = now;
+    marks[marked++].lines = lines;
 }
 
 /* Lets the time pass, and the timer interrupt. */
@@ -126,6 +140,22 @@ static void test_outputs_at_rest_are_in_time_again(uint64_t *tick, int16_t *code
     check(count == 1 && latches[0].tick == *tick + LEAD, "in time after a rest");
 }
 
+/* The fourth of ten instants has a mark of two instants, while others wait for their latch. */
+static void test_marker_lines_change_at_their_latch(uint64_t *tick, int16_t *code)
+{
+    *tick = now;
+    put_out_in_time(tick, code, 3, 1);
+    port_marks(NULL, 5);
+    put_out_in_time(tick, code, 2, 1);
+    uint64_t shown = *tick - PERIOD + LEAD;
+    port_marks(NULL, 0);
+    put_out_in_time(tick, code, 5, 0);
+    check(marked > 0 && marks[0].tick == shown, "no sooner than their latch");
+    pass_until(*tick + LEAD);
+    check(marked == 2 && marks[0].lines == 5 && marks[1].lines == 0, "changes, and nothing else");
+    check(marks[1].tick == shown + 2u * PERIOD, "as long as the mark is");
+}
+
 static void test_delimiter_has_its_tick(void)
 {
     static const uint8_t sent[] = {3, 1, 2, 0, 0, 7};
@@ -179,6 +209,7 @@ int main(void)
     test_each_code_is_latched_at_its_time(&tick, &code);
     test_late_codes_are_a_period_apart(&tick, &code);
     test_outputs_at_rest_are_in_time_again(&tick, &code);
+    test_marker_lines_change_at_their_latch(&tick, &code);
     test_delimiter_has_its_tick();
     test_full_ring_loses_what_comes_and_goes_on();
     test_what_is_sent_is_sent_whole_or_not();

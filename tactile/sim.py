@@ -241,8 +241,8 @@ class SimulatedDisplay(MockBus):
         currents[:, self._display.channel] = self._step_plant(volts)
         return currents
 
-    def _put(self, volts: Floats) -> None:
-        super()._put(volts)
+    def _put(self, volts: Floats, lines: NDArray[np.uint8]) -> None:
+        super()._put(volts, lines)
         if self.correlates:  # the plant has played what is put out, and rest after it
             rest = self._ahead - len(volts)
         else:

@@ -329,17 +329,17 @@ def test_the_command_prints_and_writes_the_report(
     assert printed.err == (
         "switches the high voltage on and plays up to 100 V: keep away from the contactors\n"
     )
-    assert "conforms to 1.3: 2 vectors apply and passed" in printed.out
+    assert "conforms to 1.4: 2 vectors apply and passed" in printed.out
     assert "depends on exact times" in printed.out
     text = page.read_text("utf-8")
-    assert "conforms to 1.3" in text
+    assert "conforms to 1.4" in text
     assert "the e-stop input: opening" in text
     assert execute(["conform", "mock:", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["counts"] == {"passed": 2, "not applicable": 1}
     monkeypatch.setattr(line_model, "ReferenceAmplifier", Uncounted)
     assert execute(["conform", "mock:"]) == 1
-    assert "does not conform to 1.3: 1 of 2 vectors that apply failed" in capsys.readouterr().out
+    assert "does not conform to 1.4: 1 of 2 vectors that apply failed" in capsys.readouterr().out
     monkeypatch.setattr(line_model, "ReferenceAmplifier", Mute)
     assert execute(["conform", "mock:"]) == 2
     assert capsys.readouterr().err == "tactile: mock:: no answer to HELLO within 0.75 s\n"

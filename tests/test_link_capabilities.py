@@ -160,7 +160,7 @@ def test_the_table_of_the_spec_has_the_same_numbers() -> None:
     assert set(table) == {
         "session", "major", "channels", "carriers", "formats", "packet_limit", "rate_max_hz",
         "rate_min_hz", "fifo_samples", "tick_hz", "full_scale_uv", "voltage_limit_uv",
-        "slew_limit_v_per_s", "fade_limit_us",
+        "slew_limit_v_per_s", "fade_limit_us", "marker_lines",
     }  # fmt: skip
 
 

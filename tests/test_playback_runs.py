@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_rig import recorded
+from numpy.typing import NDArray
 from playback_rig import FIDELITY, RATE, SLIDE, played, stroke, swing
 from scipy.signal import butter, sosfilt
 
@@ -355,12 +356,12 @@ def test_a_bus_that_fails_is_reported_with_what_was_put_out(
     display: Display, oak: Texture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failing = Failing(monkeypatch)
-    put: Callable[[MockBus, Floats], None] = MockBus._put
+    put: Callable[[MockBus, Floats, NDArray[np.uint8]], None] = MockBus._put
 
-    def unplugged(bus: MockBus, volts: Floats) -> None:
+    def unplugged(bus: MockBus, volts: Floats, lines: NDArray[np.uint8]) -> None:
         if bus.counters.blocks == 10 and bus.state == "running":
             raise BusError("the amplifier is gone")
-        put(bus, volts)
+        put(bus, volts, lines)
 
     monkeypatch.setattr(MockBus, "_put", unplugged)
     outcome = run(display, oak, stroke(0.5), record=tmp_path / "r.npz").outcome

@@ -22,7 +22,9 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
+import numpy as np
 from chip_models import ModelBus
+from numpy.typing import NDArray
 from virtual_clock import (
     PIPE,
     ChipThread,
@@ -506,7 +508,7 @@ def virtual_world(put_out: Callable[[PlaybackProcess, Floats], None]) -> Iterato
     _textures()  # before time stands still
     world = World(put_out)
 
-    def put(bus: MockBus, volts: Floats) -> None:
+    def put(bus: MockBus, volts: Floats, _lines: NDArray[np.uint8]) -> None:
         if id(bus) in world.by_bus:
             put_out(world.by_bus[id(bus)], volts)
 

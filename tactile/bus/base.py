@@ -35,12 +35,20 @@ Guards
     playing begins or ends, at an e-stop, and when the link breaks. On other buses settings do
     nothing.
 
+Marks
+    An amplifier may have marker lines for a recorder of another maker. On a bus with `marker_lines`
+    the caller passes a code and a position to `Bus.mark` before it writes the block with that
+    position, and learns from `Bus.take_marks` that the lines have taken the code with that sample.
+    A mark never delays the drive, is shown only with a sample that was written, and is forgotten
+    when playing begins or ends, at an e-stop, and when the link breaks. On other buses marks do
+    nothing.
+
 Threads
     Any thread may call any method, and a signal handler may call `Bus.estop`. `Bus.start`,
     `Bus.stop`, `Bus.abort`, `Bus.clear` and `Bus.close` exclude each other by a lock. The other
-    methods do not take it: blocks are written by one thread at a time. An e-stop waits for none of
-    these calls and wins against all of them: e-stops are counted, and the bus is "estopped" until
-    a `Bus.clear` that began after the latest e-stop has returned.
+    methods do not take it: blocks and marks are written by one thread at a time. An e-stop waits
+    for none of these calls and wins against all of them: e-stops are counted, and the bus is
+    "estopped" until a `Bus.clear` that began after the latest e-stop has returned.
 
 Drivers
     What a driver does for another call may therefore come after what it did for an e-stop. Its
@@ -63,6 +71,7 @@ from numpy.typing import NDArray
 from tactile.arrays import Floats
 from tactile.bus.correlations import CorrelationCounters, CorrelationWindow, MeasurementQueue
 from tactile.bus.guards import GuardReport, GuardSettings
+from tactile.bus.marks import MarkReport
 from tactile.bus.states import BusState, States
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, BusStateError, InputError
@@ -449,6 +458,46 @@ class Bus(ABC):
         """
         return self._windows.take_reports()
 
+    @property
+    def marker_lines(self) -> int:
+        """Number of marker lines of the amplifier that shows marks; 0 if none has any.
+
+        Of several amplifiers the first one with marker lines shows them, as a recorder needs one.
+        """
+        return 0
+
+    def mark(self, position: int, code: int) -> None:
+        """Show a code on the marker lines with the sample of a position; return at once.
+
+        The code stays for `MARK_LENGTH` of `marks`, unless another one follows, and also if playing
+        ends. Call it before the block or the frame with the position is written, from the thread
+        that writes. It does nothing unless the bus is running, for a code that the `marker_lines`
+        cannot show, and for a position that has been written. A mark is lost with the samples that
+        it goes with, and where more than eight wait: it is shown when `take_marks` says so.
+
+        Parameters
+        ----------
+        position : int
+            Position of the sample, from `next_position` on.
+        code : int
+            Code, of which bit k is the level of line k; 1 … 2 to the power of `marker_lines`, less
+            1.
+        """
+        fits = 0 < code < 1 << self.marker_lines and position >= self._next
+        if fits and self.state == "running":
+            self._mark(position, code)
+
+    def take_marks(self) -> list[MarkReport]:
+        """Return which marks have been shown since the last call.
+
+        Returns
+        -------
+        list of MarkReport
+            Marks in the order in which the amplifier has reported them, the newest `MOST_WINDOWS`
+            of `correlations`. Empty for a bus without `marker_lines`.
+        """
+        return self._windows.take_marks()
+
     def start(self, position: int = 0) -> None:
         """Begin playing; return when the amplifier has started.
 
@@ -772,6 +821,9 @@ class Bus(ABC):
 
     def _set_guards(self, settings: GuardSettings) -> None:  # noqa: B027
         """Pass settings on to amplifiers with guards; wait for nothing, and raise nothing."""
+
+    def _mark(self, position: int, code: int) -> None:  # noqa: B027
+        """Show a code that fits the lines with a sample; wait for nothing, and raise nothing."""
 
     def _close(self) -> None:  # noqa: B027
         """Release the device."""

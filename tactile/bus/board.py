@@ -7,6 +7,7 @@ stage of the amplifier, which bridges gaps, fades and keeps the limits.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol.amplifier import ReferenceAmplifier
@@ -25,6 +26,7 @@ from tactile.bus.amplifier_guards import AmplifierGuards
 from tactile.bus.base import Wiring
 from tactile.bus.correlations import MeasurementQueue, WindowDecoder
 from tactile.bus.guards import GuardSettings
+from tactile.bus.marks import AmplifierMarks
 from tactile.errors import BusError, InputError
 
 MOST_CHANNELS = 255
@@ -51,8 +53,8 @@ class Board:
     sensor : Sensor or None
         What measures its currents; None if it does not.
     windows : MeasurementQueue or None
-        Queue that takes the windows of correlated currents, and what guards report, if there is a
-        sensor.
+        Queue that takes the windows of correlated currents, and what guards and marker lines
+        report.
 
     Attributes
     ----------
@@ -60,6 +62,8 @@ class Board:
         The amplifier.
     host : AmplifierHost
         Host's side of the session, which has the latest answers.
+    lines : (S,) array of int
+        Codes on the marker lines during the samples that were returned last.
     """
 
     def __init__(
@@ -76,6 +80,8 @@ class Board:
         self._port, self._decoder = SerialPort(self.amplifier), SerialDecoder()
         self._format = sample_format
         self._now = self._heartbeat = self._offset = self._sent = 0
+        self._marks = AmplifierMarks(1.0)
+        self.lines: NDArray[np.uint8] = np.zeros(0, np.uint8)
         self.request(m.Hello(SESSION, m.MAJOR, m.MINOR, m.SCHEMA_CRC))
         self._guards = self._guards_from(0)
 
@@ -102,6 +108,8 @@ class Board:
                 self._add_window(message)
             elif isinstance(message, m.Guarded):
                 self._add_report(message)
+            elif isinstance(message, m.Marked) and (mark := self._marks.report(message)):
+                self._windows.add(mark)
         if self.amplifier.config.sense_ranges_ua:
             counters = self.amplifier.counters
             self._windows.counters.disturbed = counters.lost_samples + counters.limited_samples
@@ -196,10 +204,23 @@ class Board:
         begin = (self._sent + SKIPPED) % TURN
         self._window_decoder = WindowDecoder(self._windows.counters, begin)
         self._guards = self._guards_from(position)
+        self._marks = AmplifierMarks(rate)
         self.request(m.Start(SESSION, begin, time=self._now + 1))
 
+    def mark(self, position: int, code: int) -> None:
+        """Let a mark wait until its sample is sent.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample that has not been sent.
+        code : int
+            Code for the marker lines.
+        """
+        self._marks.add(position, code)
+
     def send(self, position: int, volts: Floats) -> None:
-        """Send samples, which wait in the amplifier until `play` puts them out.
+        """Send samples, which wait in the amplifier until `play` puts them out, and their marks.
 
         Parameters
         ----------
@@ -212,6 +233,10 @@ class Board:
         codes = codes_of(volts, config.full_scale_uv * 1e-6)
         at = position + self._offset
         self._sent = max(self._sent, at + len(codes))
+        for mark in self._marks.take(
+            position, position + len(codes), SESSION, lambda place: (place + self._offset) % TURN
+        ):
+            self._send(self.host.packet(mark))
         for message in pcm(
             at, codes, session=SESSION,
             sample_format=self._format, packet_limit=config.packet_limit,
@@ -296,7 +321,10 @@ class Board:
         return self.amplifier.take_played()
 
     def _volts(self, runs: list[PlayedRun]) -> Floats:
-        """Return the output of runs as voltages."""
+        """Return the output of runs as voltages, and keep their codes on the marker lines."""
+        self.lines = np.repeat(
+            [run.lines for run in runs], [len(run.codes) for run in runs]
+        ).astype(np.uint8)
         codes = np.concatenate([run.codes for run in runs])
         return codes * (self.amplifier.config.full_scale_uv * 1e-6 / FULL_SCALE_CODE)
 
@@ -314,6 +342,7 @@ def config_of(
     rates: tuple[int, int] | None = None,
     fifo_ms: float = 64.0,
     sense_ranges_ua: tuple[int, ...] = (),
+    marker_lines: int = 0,
 ) -> AmplifierConfig:
     """Return the configuration of an amplifier with the limits of a display.
 
@@ -331,6 +360,8 @@ def config_of(
         Length of its buffer at the highest rate [ms].
     sense_ranges_ua : tuple of int
         Ranges of the current that it measures [µA]; empty if it does not.
+    marker_lines : int
+        Number of its marker lines.
 
     Returns
     -------
@@ -355,7 +386,7 @@ def config_of(
         full_scale_uv=voltage, voltage_limit_uv=voltage,
         slew_limit_v_per_s=int(min(wiring.slew, STEEPEST)),
         fade_limit_us=min(max(round(wiring.fade * 1e6), 1), FADE_MS * 1000),
-        sense_ranges_ua=sense_ranges_ua,
+        sense_ranges_ua=sense_ranges_ua, marker_lines=marker_lines,
     )  # fmt: skip
     fault = config_fault(config)
     if fault.startswith("slew_limit_v_per_s"):

@@ -8,7 +8,8 @@ and TIME_REPLY of each amplifier, and CORRELATION if that is asked for. Where re
 direction of their own, they are held against that. If CORRELATION is asked for and amplifiers have
 guards, the budget also includes GUARD, as a host sends it that follows the finger on all channels.
 Requests and the eight time probes before a start are not included, nor is GUARDED, which an
-amplifier sends only when a finger has left a contactor. The number of CAN's stuff bits is the mean
+amplifier sends only when a finger has left a contactor, nor are MARK and MARKED, which are as rare
+as stimuli. The number of CAN's stuff bits is the mean
 for random data. A part of the wire remains free (`Link.cap`): for the stuff bits of quiet drive
 (the maximum on CAN is a fifth more), for repetitions after errors, and for the jitter of the host.
 """

@@ -2,7 +2,8 @@
 
 An amplifier sends them window by window (SPEC.md, 16). `WindowDecoder` checks the messages of one
 amplifier and converts them to SI units; `MeasurementQueue` keeps the windows of a bus, and what its
-guards report, until somebody takes them. What is wrong is counted and never raised.
+guards and marker lines report, until somebody takes them. What is wrong is counted and never
+raised.
 """
 
 import threading
@@ -20,6 +21,7 @@ from firmware_protocol.packet import TURN
 from firmware_protocol.player import distance
 from tactile.arrays import Floats
 from tactile.bus.guards import GuardReport
+from tactile.bus.marks import MarkReport
 
 MOST_WINDOWS = 1024
 """Maximum numbers of windows and of reports that wait to be taken, the newest ones; of 24 channels
@@ -120,19 +122,22 @@ class MeasurementQueue:
         self.counters = CorrelationCounters()
         self._windows: deque[CorrelationWindow] = deque()
         self._reports: deque[GuardReport] = deque()
+        self._marks: deque[MarkReport] = deque()
         self._lock = threading.Lock()
 
-    def add(self, item: CorrelationWindow | GuardReport) -> None:
+    def add(self, item: CorrelationWindow | GuardReport | MarkReport) -> None:
         """Add a window or a report, in place of the oldest one if there are too many.
 
         Parameters
         ----------
-        item : CorrelationWindow or GuardReport
+        item : CorrelationWindow, GuardReport or MarkReport
             Window or report that has come.
         """
         counters = self.counters
         with self._lock:
-            if isinstance(item, GuardReport):
+            if isinstance(item, MarkReport):
+                _kept_newest(self._marks, item)
+            elif isinstance(item, GuardReport):
                 counters.reports += 1
                 counters.dropped_reports += _kept_newest(self._reports, item)
             else:
@@ -151,7 +156,7 @@ class MeasurementQueue:
             return _emptied(self._windows)
 
     def take_reports(self) -> list[GuardReport]:
-        """Remove and return the reports.
+        """Remove and return the reports of guards.
 
         Returns
         -------
@@ -160,6 +165,17 @@ class MeasurementQueue:
         """
         with self._lock:
             return _emptied(self._reports)
+
+    def take_marks(self) -> list[MarkReport]:
+        """Remove and return the reports of marks that were shown.
+
+        Returns
+        -------
+        list of MarkReport
+            Reports in the order in which they came.
+        """
+        with self._lock:
+            return _emptied(self._marks)
 
 
 def _kept_newest(queue: deque[Item], item: Item) -> bool:

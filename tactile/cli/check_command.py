@@ -98,5 +98,6 @@ def _amplifier(a: dict[str, Any]) -> str:
         f"{first + a['channels'] - 1}, {a['voltage_limit_v']:g} V, "
         f"{a['slew_limit_v_per_us']:g} V/µs, {low} … {high} Hz, {', '.join(a['formats'])}, "
         f"{'measures' if a['measures'] else 'does not measure'}, "
+        f"marker lines: {a['marker_lines'] or 'none'}, "
         f"clock {a['drift_ppm']:+.1f} ppm"
     )

@@ -52,7 +52,7 @@ DEFAULTS = {
     "channels": 2, "carriers": 4, "formats": 15, "packet_limit": 4096, "fifo_samples": 1024,
     "tick_hz": 1_000_000, "rate_min_hz": 2500, "rate_max_hz": 16000, "full_scale_uv": 100_000_000,
     "voltage_limit_uv": 100_000_000, "slew_limit_v_per_s": 700_000, "fade_limit_us": 20_000,
-    "features": int(Feature.ESTOP_INPUT),
+    "features": int(Feature.ESTOP_INPUT), "marker_lines": 0,
 }  # fmt: skip
 """Configuration of a vector that names none (`vectors/README.md`), as CAPS tells it."""
 

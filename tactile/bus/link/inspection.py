@@ -56,6 +56,8 @@ class AmplifierFacts:
         Number of samples that it can keep.
     measures : bool
         Whether it measures voltage and current of its channels.
+    marker_lines : int
+        Number of its marker lines.
     holds : bool
         Whether it holds each sample until the next one (zero-order hold) and does not interpolate.
     drift_ppm : float
@@ -79,6 +81,7 @@ class AmplifierFacts:
     fade_limit: float
     buffer: int
     measures: bool
+    marker_lines: int
     holds: bool
     drift_ppm: float
     round_trip: float
@@ -121,6 +124,7 @@ class AmplifierFacts:
             "fade_limit_ms": self.fade_limit * 1e3,
             "buffer_samples": self.buffer,
             "measures": self.measures,
+            "marker_lines": self.marker_lines,
             "holds": self.holds,
             "drift_ppm": self.drift_ppm,
         }
@@ -188,6 +192,7 @@ def _facts(peer: Peer, first: int) -> AmplifierFacts:
         fade_limit=caps.fade_limit_us * 1e-6,
         buffer=caps.fifo_samples,
         measures=bool(caps.features & Feature.SENSES),
+        marker_lines=caps.marker_lines,
         holds=bool(caps.features & Feature.ZERO_ORDER_HOLD),
         drift_ppm=0.0 if peer.clock is None else peer.clock.drift_ppm,
         round_trip=0.0 if peer.clock is None else peer.clock.round_trip,

@@ -258,6 +258,18 @@ class LinkBus(Bus):
         self._wake()
 
     @property
+    def marker_lines(self) -> int:
+        """Number of marker lines of the first amplifier that has any; 0 if none has."""
+        stream = self._session.stream
+        marker = stream.marker if stream is not None else None
+        return marker.caps.marker_lines if marker is not None else 0
+
+    def _mark(self, position: int, code: int) -> None:
+        assert self._session.stream is not None
+        with self._changed:
+            self._session.stream.mark(position, code)
+
+    @property
     def lead(self) -> float:
         """Time by which samples are sent before they are put out [s]."""
         return self._session.stream.lead if self._session.stream is not None else 0.0

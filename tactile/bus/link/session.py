@@ -99,8 +99,8 @@ class LinkSession:
         Time by which samples are sent before they are put out [s]; None for one that adapts to
         underruns.
     windows : MeasurementQueue or None
-        Queue that takes the windows of CORRELATION and what GUARDED reports; by default one of its
-        own.
+        Queue that takes the windows of CORRELATION and what GUARDED and MARKED report; by default
+        one of its own.
     correlation_ms : int
         Length of the windows that amplifiers are asked for, as far as they correlate [ms]; 0 for
         none.
@@ -390,6 +390,8 @@ class LinkSession:
                     self._add_window(known[packet.node], packet, now)
                 elif packet.type == m.Guarded.TYPE:
                     self._add_report(known[packet.node], packet, now)
+                elif packet.type == m.Marked.TYPE:
+                    self._add_mark(known[packet.node], packet)
             elif self.peers and packet.type in (m.Pulse.TYPE, m.Status.TYPE):
                 self.notes.add_stranger(packet.node, known, now)
             elif self.phase is SessionPhase.SEARCH and packet.type == m.Caps.TYPE and packet.node:
@@ -428,6 +430,15 @@ class LinkSession:
             return
         position = peer.position_of(message.position, now)
         report = guards.decode(message, position, peer.reached(now))
+        if report is not None:
+            self._windows.add(report)
+
+    def _add_mark(self, peer: Peer, packet: Packet) -> None:
+        """Pass on that a mark was shown, if it is one of the stream."""
+        message = m.Marked.unpack(packet.payload)
+        if message is None or self.stream is None:
+            return
+        report = self.stream.marked(peer, message)
         if report is not None:
             self._windows.add(report)
 

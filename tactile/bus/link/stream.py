@@ -24,6 +24,7 @@ from tactile.bus.base import BusCounters
 from tactile.bus.budget import Plan, spectrum_group
 from tactile.bus.link.follower import HALF, SLACK, Follower, Piece
 from tactile.bus.link.peer import Peer
+from tactile.bus.marks import AmplifierMarks, MarkReport
 
 LEAD, LEAST_LEAD, MOST_LEAD = 8e-3, 6e-3, 24e-3
 """Time by which samples are sent before they are put out: at first, at least and at most
@@ -145,6 +146,7 @@ class LinkStream:
         self._anchor, self._from = (0, 0.0), 0
         self._underruns, self._late, self._lowered = 0, 0, math.inf
         self._credit_faults, self.no_credit = 0, ""
+        self._marks = AmplifierMarks(plan.sample_rate)
         self._held = 0
         """Number of positions after what was written that have something to play."""
 
@@ -169,6 +171,7 @@ class LinkStream:
             Messages in the order of the amplifiers.
         """
         self.clear()
+        self._marks = AmplifierMarks(self._plan.sample_rate)
         self._from = position + fade_in
         self._anchor, self._playing, self.end = (position, time), True, position
         self._lowered = time
@@ -366,6 +369,7 @@ class LinkStream:
         """
         end = self.end
         self._flush()
+        self._marks.forget()  # what is repeated was not written
         if self._last is not None:
             self._held = math.ceil(HOLD * self._plan.sample_rate)
             held, size = end + self._held, self._plan.packet_samples
@@ -383,7 +387,8 @@ class LinkStream:
         """Pack samples for all amplifiers, those after the first resampled to their clocks."""
         self._last = volts[-1].copy()
         first, *others = self._peers
-        packets = self._packed(first, [(position, volts[:, self._spans[0]])])
+        packets = self._packed_marks(position, position + len(volts))
+        packets += self._packed(first, [(position, volts[:, self._spans[0]])])
         for follower, peer, span in zip(self._followers, others, self._spans[1:], strict=True):
             apart = self._clock_lead(peer, position)
             packets += self._packed(peer, follower.feed(position, volts[:, span], apart))
@@ -402,6 +407,63 @@ class LinkStream:
             )  # fmt: skip
             packets.append((peer, at + len(piece), self._packets_of(peer, messages)))
         return packets
+
+    # Marks
+
+    @property
+    def marker(self) -> Peer | None:
+        """First amplifier that has marker lines, which shows the marks; None if none has."""
+        return next((peer for peer in self._peers if peer.caps.marker_lines), None)
+
+    def mark(self, position: int, code: int) -> None:
+        """Let a mark wait until its sample is packed, ahead of which it is sent.
+
+        Parameters
+        ----------
+        position : int
+            Position of a sample or a frame that has not been added yet.
+        code : int
+            Code for the marker lines.
+        """
+        self._marks.add(position, code)
+
+    def marked(self, peer: Peer, message: m.Marked) -> MarkReport | None:
+        """Return what an amplifier reports of a mark.
+
+        Parameters
+        ----------
+        peer : Peer
+            Amplifier.
+        message : Marked
+            Its message.
+
+        Returns
+        -------
+        MarkReport or None
+            The report; None if it is of no mark that was sent to it since START.
+        """
+        return self._marks.report(message) if peer is self.marker else None
+
+    def _packed_marks(self, start: int, end: int) -> list[tuple[Peer, int, list[Packet]]]:
+        """Return packets of the marks of positions, as `_packed` does those of samples."""
+        peer = self.marker
+        if peer is None:
+            return []
+
+        def wire(position: int) -> int:
+            return peer.wire_end(position - self._early(peer, position))
+
+        messages = self._marks.take(start, end, peer.host.session, wire)
+        return [(peer, mark.position + 1, self._packets_of(peer, [mark])) for mark in messages]
+
+    def _early(self, peer: Peer, position: int) -> int:
+        """Return how many positions before its own an amplifier is sent a sample or a frame."""
+        k = self._peers.index(peer)
+        if k == 0:
+            return 0
+        if self._plan.carriers:
+            return round(self._clock_lead(peer, position))
+        return round(self._followers[k - 1].offset)
 
     def _flush_followers(self) -> None:
         """Pack what the followers keep back for samples that do not come."""
@@ -434,14 +496,13 @@ class LinkStream:
         """
         if position <= self._from:
             return
-        plan, packets = self._plan, []
+        plan, packets = self._plan, self._packed_marks(self.end, position + 1)
         increment = spectrum.increments(carriers, plan.sample_rate).astype(np.int64)
         spacing = plan.packet_samples
         valid = 2 * spacing  # 40 ms at the fewest frames a second; 50 are allowed (SPEC.md, 10.2)
         self.end = position
-        for k, (peer, span) in enumerate(zip(self._peers, self._spans, strict=True)):
-            early = round(self._clock_lead(peer, position)) if k else 0
-            at = peer.wire_position(position - early, 1)
+        for peer, span in zip(self._peers, self._spans, strict=True):
+            at = peer.wire_position(position - self._early(peer, position), 1)
             turns = increment * ((at - position) % TURN) % TURN / TURN
             codes = spectrum.encode(
                 volts[span] * np.exp(-2j * np.pi * turns) / (peer.caps.full_scale_uv * 1e-6)
@@ -477,6 +538,7 @@ class LinkStream:
             if self.due(part.end) <= now:
                 self._drop(part)
         self._parts.clear()
+        self._marks.forget()
         self._last = self._tail = None
         self.no_credit = ""
 

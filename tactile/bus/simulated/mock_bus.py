@@ -4,8 +4,8 @@ What is written is sent as packets of the protocol over a serial line in memory 
 `firmware_protocol`, whose sample clock advances only by the samples that are written and the ramps
 that end them. Gaps are therefore bridged or fade, the limits are those of the amplifier, and the
 output is restricted to what the wire can carry. The last second of the output is kept, or
-everything with ``?keep=all``. ``?format=pcm16`` (the default), ``pcm12`` or ``bfp8`` selects the
-coding of the samples.
+everything with ``?keep=all``, together with the codes on the marker lines. ``?format=pcm16`` (the
+default), ``pcm12`` or ``bfp8`` selects the coding of the samples.
 """
 
 import math
@@ -15,9 +15,10 @@ from dataclasses import replace
 import numpy as np
 from msgspec.structs import fields
 from msgspec.structs import replace as replace_options
+from numpy.typing import NDArray
 
 from firmware_protocol.config import AmplifierConfig
-from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, SampleFormat
+from firmware_protocol.messages import FADE_MS, HEARTBEAT_MS, MARKER_LINES_MOST, SampleFormat
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, Bus, DisplayLike, DriveBlock, Wiring
 from tactile.bus.board import CHUNK, MOST_CHANNELS, Board, config_of
@@ -92,7 +93,12 @@ class MockBus(Bus):
         if currents is not None and len(widths) > 1:
             raise InputError(f"{wiring.channels} channels: currents of {MOST_CHANNELS} at most")
         self.boards = [
-            self._board(config_of(wiring, width, node), sample_format, currents, sensor)
+            self._board(
+                config_of(wiring, width, node, marker_lines=MARKER_LINES_MOST),
+                sample_format,
+                currents,
+                sensor,
+            )
             for node, width in enumerate(widths, 1)
         ]
         self._correlates = currents is not None and correlation_ms > 0
@@ -108,7 +114,7 @@ class MockBus(Bus):
     ) -> Board:
         """Return an amplifier, with a sensor if there is a load to measure."""
         if currents is None:
-            return Board(config, sample_format)
+            return Board(config, sample_format, windows=self._windows)
         full_scale = config.full_scale_uv * 1e-6
         sensor = CurrentSensor(currents, design, channels=config.channels, full_scale=full_scale)
         measuring = replace(config, sense_ranges_ua=design.ranges_ua, current_delay=design.delay)
@@ -129,6 +135,15 @@ class MockBus(Bus):
             if self.state == "running":  # no e-stop has come since the caller saw it running
                 self.boards[0].set_guards(settings)
 
+    @property
+    def marker_lines(self) -> int:
+        """Number of marker lines of the first amplifier."""
+        return self.boards[0].amplifier.config.marker_lines
+
+    def _mark(self, position: int, code: int) -> None:
+        with self._guard:
+            self.boards[0].mark(position, code)
+
     def due_uncertainty(self, position: int) -> float:
         """Return half of an interval around `due` that holds the true time.
 
@@ -148,6 +163,11 @@ class MockBus(Bus):
     def output(self) -> Floats:
         """Drive voltages that were put out, as far as they are kept, array (S, C) [V]."""
         return self._record.volts
+
+    @property
+    def lines(self) -> NDArray[np.uint8]:
+        """Codes on the marker lines of the first amplifier with each of `output`, array (S,)."""
+        return self._record.lines
 
     def _start(self, position: int) -> None:
         with self._guard:
@@ -185,7 +205,8 @@ class MockBus(Bus):
         for k in range(0, count, longest):
             parts = [board.play(min(longest, count - k)) for board in self.boards]
             self._position += len(parts[0])
-            self._put(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
+            volts = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+            self._put(volts, self.boards[0].lines)
         self.counters.underruns = sum(b.amplifier.counters.underruns for b in self.boards)
 
     def _stop(self) -> None:
@@ -199,9 +220,12 @@ class MockBus(Bus):
             self._put_all([board.end(quick=quick) for board in self.boards])
 
     def _put_all(self, ends: list[Floats]) -> None:
-        """Put out the ends of all amplifiers, the shorter ones extended by 0 V."""
-        longest = max(len(end) for end in ends)
-        self._put(np.hstack([np.pad(end, ((0, longest - len(end)), (0, 0))) for end in ends]))
+        """Put out the ends of all amplifiers, the shorter ones extended by 0 V and their lines."""
+        longest, lines = max(len(end) for end in ends), self.boards[0].lines
+        self._put(
+            np.hstack([np.pad(end, ((0, longest - len(end)), (0, 0))) for end in ends]),
+            np.pad(lines, (0, longest - len(lines)), mode="edge"),
+        )
 
     def _close(self) -> None:
         with self._guard:
@@ -217,9 +241,9 @@ class MockBus(Bus):
             for board in self.boards:
                 board.clear()
 
-    def _put(self, volts: Floats) -> None:
+    def _put(self, volts: Floats, lines: NDArray[np.uint8]) -> None:
         """Put voltages out; a subclass with something behind the amplifiers continues from here."""
-        self._record.add(volts)
+        self._record.add(volts, lines)
 
 
 WITHOUT_LINK = ("keep", "format", "rearm", "load_pf", "correlation_ms")

@@ -12,10 +12,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from firmware_protocol.config import AmplifierConfig
 from firmware_protocol.machine import PlayedRun
-from firmware_protocol.messages import FULL_SCALE_CODE, State
+from firmware_protocol.messages import FULL_SCALE_CODE, MARKER_LINES_MOST, State
 from firmware_protocol.player import distance
 from tactile.arrays import Floats
 from tactile.bus.base import RATE, DisplayLike, Wiring
@@ -197,7 +198,8 @@ class AmplifierRecord(OutputRecord):
             count = sounding[-1] + 2 if len(sounding) else int(self._sounding)
             keep = np.arange(len(run.codes)) < count  # up to and including the first 0 V
         self._sounding = bool(run.codes[-1:].any())
-        self.add(run.codes[keep].astype(np.float64) * self._scale)
+        lines = np.full(np.count_nonzero(keep), run.lines, np.uint8)
+        self.add(run.codes[keep].astype(np.float64) * self._scale, lines)
 
     def rest(self, total: int) -> None:
         """Extend the output by 0 V, because another amplifier came to rest slightly later.
@@ -251,6 +253,13 @@ class ModeledBus(LinkBus):
         return np.hstack([samples[len(samples) - shortest :] for samples in volts])[
             :, : self.wiring.channels
         ]
+
+    @property
+    def lines(self) -> NDArray[np.uint8]:
+        """Codes on the lines that show marks, with each sample of `output`, array (S,)."""
+        count, marks = len(self.output), [bool(c.marker_lines) for c in self.model.configs]
+        lines = self._records[marks.index(True)].lines if any(marks) else np.zeros(count, np.uint8)
+        return lines[len(lines) - count :]
 
     def _align(self) -> None:
         """Extend the outputs of all amplifiers to the same length, if all are at rest."""
@@ -371,7 +380,15 @@ def model_of(options: MockOptions, wiring: Wiring, clock: Clock) -> Model:
     width = -(wiring.channels // -boards)
     ranges = SensorDesign().ranges_ua if options.load_pf is not None else ()
     configs = [
-        config_of(wiring, width, node, rates=RATES, fifo_ms=options.fifo_ms, sense_ranges_ua=ranges)
+        config_of(
+            wiring,
+            width,
+            node,
+            rates=RATES,
+            fifo_ms=options.fifo_ms,
+            sense_ranges_ua=ranges,
+            marker_lines=MARKER_LINES_MOST,
+        )
         for node in range(1, boards + 1)
     ]
     setup = ModelSetup(

@@ -108,6 +108,8 @@ Milliseconds = Annotated[float, Meta(ge=0, le=60_000)]
 Hertz = Annotated[float, Meta(ge=0, le=1000)]
 """Frequency of an effect [Hz]."""
 
+MarkerCode = Annotated[int, Meta(ge=0, le=255)]
+"""Code of marker lines, line k being bit k; 0 for none."""
 FARTHEST = 60.0
 """Time by which the time of a `BeginAt` may be ahead [s]."""
 Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
@@ -368,13 +370,17 @@ class BeginAt(Struct, frozen=True, kw_only=True, omit_defaults=True):
     drop_late : bool
         Whether it is dropped if that is not possible, because the time has passed or the contactors
         still play a waveform of this client. If not, it begins as soon as possible.
-    mark : int
+    number : int
         Number chosen by the client, which the `OnsetMessage` repeats.
+    marker : int
+        Code that the marker lines of the amplifier take with the first sample, for 10 ms, below 2
+        to the power of `DisplayDescription.marker_lines`; 0 for none.
     """
 
     at_us: Microseconds
     drop_late: bool = False
-    mark: Id = 0
+    number: Id = 0
+    marker: MarkerCode = 0
 
 
 class Append(DisplayRequest, frozen=True, kw_only=True, tag="append"):
@@ -674,6 +680,8 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
     threshold_um : list of pair of float
         Pairs of a frequency [Hz] and the peak of a shear of that frequency that is just felt [µm],
         in third octaves; linear between them in the logarithms.
+    marker_lines : int
+        Number of marker lines of its amplifier; 0 for none.
     """
 
     name: str
@@ -687,6 +695,7 @@ class DisplayDescription(Struct, frozen=True, kw_only=True):
     latest_estop: int = 0
     follows: bool = False
     threshold_um: tuple[tuple[float, float], ...] = ()
+    marker_lines: int = 0
 
 
 class Welcome(Reply, frozen=True, kw_only=True, tag="welcome"):
@@ -962,7 +971,7 @@ class OnsetMessage(ApiMessage, frozen=True, kw_only=True, tag="onset"):
     ----------
     display : str
         Name of the display.
-    mark : int
+    number : int
         Number that the client gave it in `BeginAt`.
     at_us : int
         Time at which it was to begin, as in `BeginAt` [µs].
@@ -973,15 +982,20 @@ class OnsetMessage(ApiMessage, frozen=True, kw_only=True, tag="onset"):
         Half of the interval around ``onset_us`` that holds the true time; null if it is not known,
         as on a sound card [µs].
     reason : str
-        Reason in one line why it did not begin, or not at its time; empty if it did.
+        Reason in one line why it did not begin, or not at its time, or without its marker; empty if
+        all was as it should be.
+    marker : int
+        Code that the marker lines have shown with its first sample, as far as the amplifier has
+        confirmed that; 0 for none.
     """
 
     display: str
-    mark: int
+    number: int
     at_us: Microseconds
     onset_us: float | None
     uncertainty_us: float | None
     reason: str = ""
+    marker: int = 0
 
 
 class TelemetryFinger(Struct, frozen=True, kw_only=True):

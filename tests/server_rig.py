@@ -460,6 +460,11 @@ BAD = [
         dict(GOOD["effect"][0], begin={"at_us": 2**63}, id=7), "invalid_field", "begin.at_us"
     ),
     Bad(
-        dict(GOOD["append"][0], begin={"at_us": 0, "mark": -1}, id=7), "invalid_field", "begin.mark"
+        dict(GOOD["append"][0], begin={"at_us": 0, "number": -1}, id=7),
+        "invalid_field", "begin.number",
+    ),
+    Bad(
+        dict(GOOD["append"][0], begin={"at_us": 0, "marker": 256}, id=7),
+        "invalid_field", "begin.marker",
     ),
 ]  # fmt: skip

@@ -42,8 +42,8 @@ def begun(server: ScriptedServer) -> list[m.BeginAt | None]:
 
 def report(begin: m.BeginAt, *, late_us: float = 40.0, reason: str = "") -> m.OnsetMessage:
     return m.OnsetMessage(
-        display="left", mark=begin.mark, at_us=begin.at_us, onset_us=begin.at_us + late_us,
-        uncertainty_us=30.0, reason=reason,
+        display="left", number=begin.number, at_us=begin.at_us, onset_us=begin.at_us + late_us,
+        uncertainty_us=30.0, reason=reason, marker=begin.marker,
     )  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def test_each_stimulus_may_begin_at_a_time_and_its_onset_comes_back(
     server: ScriptedServer, name: str
 ) -> None:
     with client.connect(server.url, timeout=PATIENCE) as display:
-        at = client.At(time.monotonic() + 0.5, drop_late=True)
+        at = client.At(time.monotonic() + 0.5, drop_late=True, marker=5)
         offset = display._connection._session.offset
         before = offset.uncertainty(time.monotonic())
         CALLS[name](display, at)
@@ -60,12 +60,12 @@ def test_each_stimulus_may_begin_at_a_time_and_its_onset_comes_back(
         assert first is not None
         uncertainty = max(before, offset.uncertainty(time.monotonic()))
         assert first.at_us == pytest.approx((at.time + AHEAD) * 1e6, abs=1e6 * uncertainty + 1)
-        assert first.drop_late
+        assert (first.drop_late, first.marker) == (True, 5)
         assert set(rest) <= {None}, "the rest of a waveform follows its first part"
         assert not at.known
         server.say(report(first))
         onset = at.onset(PATIENCE)
-    assert (onset.display, onset.reason) == ("left", "")
+    assert (onset.display, onset.reason, onset.marker) == ("left", "", 5)
     assert onset.at == pytest.approx(at.time, abs=1e-6)
     assert onset.time == pytest.approx(at.time + 40e-6, abs=1e-6)
     assert onset.uncertainty is not None
@@ -88,7 +88,7 @@ def test_a_stimulus_that_was_not_played_says_why(server: ScriptedServer) -> None
         assert begin is not None
         server.say(
             m.OnsetMessage(
-                display="left", mark=begin.mark, at_us=begin.at_us, onset_us=None,
+                display="left", number=begin.number, at_us=begin.at_us, onset_us=None,
                 uncertainty_us=None, reason="late by 3 ms",
             )
         )  # fmt: skip
@@ -151,6 +151,12 @@ def test_a_time_that_is_none_is_refused(server: ScriptedServer, at: Any) -> None
         assert begun(server) == []
 
 
+@pytest.mark.parametrize("marker", [-1, 256, 1.5, "1", None])
+def test_a_marker_that_is_no_code_is_refused(marker: Any) -> None:
+    with pytest.raises(InputError, match=r"marker .*: a code of 8 lines is one of 0 … 255"):
+        client.At(0.0, marker=marker)
+
+
 def test_a_time_belongs_to_one_stimulus(server: ScriptedServer) -> None:
     with client.connect(server.url, timeout=PATIENCE) as display:
         at = client.At(time.monotonic())
@@ -175,7 +181,7 @@ def test_the_rest_of_a_waveform_that_was_dropped_is_not_played(
         assert said.begin is not None
         server.say(
             m.OnsetMessage(
-                display="left", mark=said.begin.mark, at_us=said.begin.at_us, onset_us=None,
+                display="left", number=said.begin.number, at_us=said.begin.at_us, onset_us=None,
                 uncertainty_us=None, reason="late by 3 ms",
             )
         )  # fmt: skip

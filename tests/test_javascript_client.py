@@ -167,17 +167,17 @@ async def test_the_report_on_what_began_at_a_time_comes_to_all_who_listen(javasc
         await javascript.run("kept.onsets = []; kept.c.on('onset', (o) => kept.onsets.push(o));")
         await javascript.run(
             "kept.d.effect({amplitude_um: 5, transients: [[0, 1, 160]],"
-            " begin: {at_us: 7000000, drop_late: true, mark: 3}})"
+            " begin: {at_us: 7000000, drop_late: true, number: 3}})"
         )
         (effect,) = commands(hands, PlayEffect)
-        assert effect.begin == BeginAt(at_us=7_000_000, drop_late=True, mark=3)
+        assert effect.begin == BeginAt(at_us=7_000_000, drop_late=True, number=3)
         report = OnsetMessage(
-            display="right", mark=3, at_us=7_000_000, onset_us=7_000_040.5, uncertainty_us=30.0
+            display="right", number=3, at_us=7_000_000, onset_us=7_000_040.5, uncertainty_us=30.0
         )
         hands.clients[0].outbox.put_nowait(report)
         await javascript.run(SETTLED.format("!kept.onsets.length"))
         (onset,) = await javascript.run("return kept.onsets")
-        assert (onset["mark"], onset["onset_us"], onset["uncertainty_us"]) == (3, 7_000_040.5, 30)
+        assert (onset["number"], onset["onset_us"], onset["uncertainty_us"]) == (3, 7_000_040.5, 30)
 
 
 async def test_events_and_telemetry_come_to_all_who_listen(javascript: Node) -> None:

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile.bus.base import Wiring
+from tactile.bus.marks import MarkReport
 from tactile.bus.simulated.mock_bus import MockBus
 from tactile.clock import ModelClock
 from tactile.display.display import Display
@@ -103,8 +104,9 @@ def schedule(
     number: int = 1,
     *,
     drop_late: bool = True,
+    marker: int = 0,
 ) -> None:
-    stage.player.apply(PlayAt(number, ME, time, drop_late, stimulus))
+    stage.player.apply(PlayAt(number, ME, time, drop_late, stimulus, marker))
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.3, 0.7])
@@ -540,3 +542,72 @@ def test_a_stimulus_that_begins_while_playback_fades_in_after_a_gap_says_so(
     faded, whole = stage.player.onsets
     assert faded == StimulusOutcome(1, ME, None if drop_late else start, FADING)
     assert whole == StimulusOutcome(2, ME, start + 1600)
+
+
+@pytest.mark.parametrize("stimulus", [waveform(), waveform(11025.0), effect(), frames()])
+@pytest.mark.parametrize("offset", [0, 5, 15])
+def test_the_marker_lines_take_the_code_of_a_stimulus_with_its_first_sample(
+    stage: Stage, stimulus: Stimulus, offset: int
+) -> None:
+    position = stage.player.position + 10 * BLOCK + offset
+    schedule(stage, stimulus, stage.bus.due(position), marker=0x85)
+    stage.rest(0.45)
+    lines = stage.bus.lines
+    assert np.flatnonzero(lines).tolist() == list(range(position, position + 80)), "for 10 ms"
+    assert set(lines.tolist()) == {0, 0x85}
+    (report,) = stage.player.report_onsets()
+    assert (report.marker, report.reason) == (0x85, "")
+
+
+def test_a_stimulus_that_waits_for_its_contactors_is_marked_when_it_begins(stage: Stage) -> None:
+    stage.player.apply(AppendSamples(ME, np.full(1600, 1e-6, np.float32), RATE, (3,), True))
+    time = stage.bus.due(stage.player.position + 160)
+    schedule(stage, waveform(RATE), time, drop_late=False, marker=1)
+    stage.rest(0.3)
+    (onset,) = stage.player.onsets
+    assert onset.position is not None
+    assert np.flatnonzero(stage.bus.lines)[0] == onset.position
+    assert "free" in onset.reason
+
+
+def test_a_stimulus_that_is_dropped_or_has_no_marker_shows_none(stage: Stage) -> None:
+    schedule(stage, waveform(), stage.bus.due(stage.player.position) - 0.05, 1, marker=3)
+    schedule(stage, effect(), stage.bus.due(stage.player.position + 160), 2)
+    stage.rest(0.45)
+    assert not stage.bus.lines.any()
+    reports = {report.number: report for report in stage.player.report_onsets()}
+    assert (reports[1].marker, reports[2].marker, reports[2].reason) == (0, 0, "")
+
+
+def test_of_two_stimuli_that_begin_with_the_same_sample_one_marker_is_shown(stage: Stage) -> None:
+    """The lines have one code at a time; what was not shown is reported."""
+    time = stage.bus.due(stage.player.position + 160)
+    schedule(stage, waveform(contactors=(3,)), time, 1, marker=1)
+    schedule(stage, waveform(contactors=(4,)), time, 2, marker=2)
+    schedule(stage, waveform(contactors=(5,)), time, 3, marker=2)
+    stage.rest(0.45)
+    shown = {
+        report.number: (report.marker, report.reason) for report in stage.player.report_onsets()
+    }
+    hidden = (0, "the marker lines did not show its code")
+    assert shown == {1: hidden, 2: (2, ""), 3: (2, "")}
+
+
+def test_markers_that_the_amplifier_does_not_confirm_are_reported_and_not_kept(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = [stage.player.position + 160, stage.player.position + 1600]
+    taken = MockBus.take_marks
+
+    def without_some(bus: MockBus) -> list[MarkReport]:
+        return [mark for mark in taken(bus) if mark.position not in lost]
+
+    monkeypatch.setattr(MockBus, "take_marks", without_some)
+    for number, position in enumerate([*lost, stage.player.position + 3200]):
+        schedule(stage, waveform(), stage.bus.due(position), number, marker=4)
+    shown = []
+    for _ in range(9):
+        stage.rest(0.1)
+        shown += [report.marker for report in stage.player.report_onsets()]
+    assert shown == [0, 0, 4]
+    assert not stage.player.onset_reports._shown

@@ -4,6 +4,7 @@ All of the server is real but time and the boundaries of processes (`virtual_ser
 """
 
 import asyncio
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -57,9 +58,9 @@ def client(world: World, tmp_path: Path) -> Client:
     return client
 
 
-def ahead(world: World, seconds: float, mark: int = 1, *, drop_late: bool = False) -> m.BeginAt:
+def ahead(world: World, seconds: float, number: int = 1, *, drop_late: bool = False) -> m.BeginAt:
     at_us = round(1e6 * (world.clock.now() + seconds))
-    return m.BeginAt(at_us=at_us, drop_late=drop_late, mark=mark)
+    return m.BeginAt(at_us=at_us, drop_late=drop_late, number=number)
 
 
 def ask(world: World, client: Client, command: Any) -> m.Answer | None:
@@ -92,15 +93,39 @@ def test_an_onset_is_reported_to_its_client_alone(
     assert world.host is not None
     other = world.host.connect("other", roles=m.ALL_ROLES)
     begin = ahead(world, 0.5, 7)
-    ask(world, client, structs.replace(command, begin=begin))
+    ask(world, client, structs.replace(command, begin=structs.replace(begin, marker=0x81)))
     world.run(asyncio.sleep(0.7))
     assert onsets(client) == []
     world.run(asyncio.sleep(0.2))
     (onset,) = onsets(client)
-    assert (onset.display, onset.mark, onset.at_us, onset.reason) == (NAME, 7, begin.at_us, "")
+    assert (onset.display, onset.number, onset.at_us, onset.reason) == (NAME, 7, begin.at_us, "")
     assert onset.onset_us == pytest.approx(begin.at_us, abs=0.5e6 / 8000 + 1)
     assert onset.uncertainty_us == 0, "the amplifier and the host have one clock"
+    assert onset.marker == 0x81
     assert onsets(other) == []
+
+
+@pytest.mark.parametrize("command", [WAVE, HOLD, NAMED, FRAMES])
+@pytest.mark.parametrize(
+    ("lines", "code", "text"),
+    [
+        (0, 1, "code 1; must be below 1, as the amplifier has 0 marker lines"),
+        (1, 255, "code 255; must be below 2, as the amplifier has 1 marker line"),
+        (3, 8, "code 8; must be below 8, as the amplifier has 3 marker lines"),
+    ],
+)
+def test_a_marker_that_the_amplifier_does_not_have_is_refused(
+    world: World, client: Client, command: Any, lines: int, code: int, text: str
+) -> None:
+    assert world.host is not None
+    playing = world.host.playing[NAME]
+    playing.how = dataclasses.replace(playing.how, marker_lines=lines)
+    begin = structs.replace(ahead(world, 0.5), marker=code)
+    refused = ask(world, client, structs.replace(command, begin=begin))
+    assert isinstance(refused, m.Failure)
+    assert (refused.field, refused.message) == ("begin.marker", text)
+    reports = [(one.onset_us, one.reason) for one in onsets(client)]
+    assert reports == [(None, text)] * isinstance(command, m.TactileFrames)
 
 
 @pytest.mark.parametrize("command", [HOLD, FRAMES])
@@ -134,7 +159,7 @@ def test_a_time_that_is_too_far_ahead_is_refused(
     assert isinstance(refused, m.Failure)
     assert refused.field == "begin.at_us"
     assert refused.message == "3600 s ahead; at most 60 s"
-    reports = [(one.mark, one.onset_us, one.reason) for one in onsets(client)]
+    reports = [(one.number, one.onset_us, one.reason) for one in onsets(client)]
     expected = (2, None, "3600 s ahead; at most 60 s")
     assert reports == [expected] * isinstance(command, m.TactileFrames)
 
@@ -143,7 +168,7 @@ def test_a_time_that_has_passed_is_reported(world: World, client: Client) -> Non
     ask(world, client, structs.replace(WAVE, begin=ahead(world, -5.0, 3, drop_late=True)))
     world.run(asyncio.sleep(0.1))
     (onset,) = onsets(client)
-    assert (onset.mark, onset.onset_us) == (3, None)
+    assert (onset.number, onset.onset_us) == (3, None)
     assert onset.reason.startswith("late by 50")
 
 
@@ -154,7 +179,7 @@ def test_frames_with_a_time_for_a_display_that_is_not_armed_are_reported(
     world.run(asyncio.sleep(0.5))
     ask(world, client, structs.replace(FRAMES, begin=ahead(world, 0.5, 4)))
     (onset,) = onsets(client)
-    assert (onset.mark, onset.onset_us, onset.reason) == (4, None, "the display was not armed")
+    assert (onset.number, onset.onset_us, onset.reason) == (4, None, "the display was not armed")
 
 
 def test_a_stimulus_is_reported_at_once_when_the_display_is_disarmed(
@@ -164,7 +189,7 @@ def test_a_stimulus_is_reported_at_once_when_the_display_is_disarmed(
     ask(world, client, m.DisarmDisplay(display=NAME))
     world.run(asyncio.sleep(0.5))
     (onset,) = onsets(client)
-    assert (onset.mark, onset.onset_us, onset.reason) == (5, None, "the display was not armed")
+    assert (onset.number, onset.onset_us, onset.reason) == (5, None, "the display was not armed")
 
 
 def test_a_request_to_a_playback_that_is_lost_is_refused_and_not_reported(
@@ -185,7 +210,7 @@ def test_stimuli_are_reported_when_playback_dies(world: World, client: Client) -
     playback.kill()
     world.run(asyncio.sleep(1.0))
     (onset,) = onsets(client)
-    assert (onset.mark, onset.onset_us, onset.reason) == (3, None, "playback was lost")
+    assert (onset.number, onset.onset_us, onset.reason) == (3, None, "playback was lost")
 
 
 def test_a_stimulus_that_is_refused_is_not_reported_again(world: World, client: Client) -> None:
@@ -198,4 +223,4 @@ def test_a_stimulus_that_is_refused_is_not_reported_again(world: World, client: 
     (playback,) = world.playbacks()
     playback.kill()
     world.run(asyncio.sleep(1.0))
-    assert sorted(onset.mark for onset in onsets(client)) == list(range(MOST_SCHEDULED))
+    assert sorted(onset.number for onset in onsets(client)) == list(range(MOST_SCHEDULED))

@@ -435,7 +435,12 @@ typedef struct {
    */
   bool drop_late;
   /** Number chosen by the client, which the `OnsetMessage` repeats. */
-  int64_t mark;
+  int64_t number;
+  /**
+   * Code that the marker lines of the amplifier take with the first sample, for 10 ms, below 2
+   * to the power of `DisplayDescription.marker_lines`; 0 for none.
+   */
+  int64_t marker;
 } tactile_begin_at;
 
 /**
@@ -763,6 +768,8 @@ typedef struct {
    * in third octaves; linear between them in the logarithms.
    */
   tactile_pair_list threshold_um;
+  /** Number of marker lines of its amplifier; 0 for none. */
+  int64_t marker_lines;
 } tactile_display_description;
 
 /** List of `tactile_display_description`. */
@@ -1019,7 +1026,7 @@ typedef struct {
   /** Name of the display. */
   tactile_text display;
   /** Number that the client gave it in `BeginAt`. */
-  int64_t mark;
+  int64_t number;
   /** Time at which it was to begin, as in `BeginAt` [µs]. */
   int64_t at_us;
   /**
@@ -1034,8 +1041,16 @@ typedef struct {
    */
   bool has_uncertainty_us;
   double uncertainty_us;
-  /** Reason in one line why it did not begin, or not at its time; empty if it did. */
+  /**
+   * Reason in one line why it did not begin, or not at its time, or without its marker; empty if
+   * all was as it should be.
+   */
   tactile_text reason;
+  /**
+   * Code that the marker lines have shown with its first sample, as far as the amplifier has
+   * confirmed that; 0 for none.
+   */
+  int64_t marker;
 } tactile_onset;
 
 /** List of `bool`. */
@@ -1348,10 +1363,11 @@ static const tactile_shape tactile_shape_integer_list = {
 static const tactile_field tactile_fields_begin_at[] = {
     TACTILE_FIELD(begin_at, at_us, integer, TACTILE_REQUIRED),
     TACTILE_FIELD(begin_at, drop_late, boolean, TACTILE_OPTIONAL),
-    TACTILE_FIELD(begin_at, mark, integer, TACTILE_OPTIONAL),
+    TACTILE_FIELD(begin_at, number, integer, TACTILE_OPTIONAL),
+    TACTILE_FIELD(begin_at, marker, integer, TACTILE_OPTIONAL),
 };
 static const tactile_shape tactile_shape_begin_at = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_begin_at), 3,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_begin_at), 4,
     NULL, NULL, tactile_fields_begin_at};
 
 static const char *const tactile_tag_append[] = {"append"};
@@ -1538,9 +1554,10 @@ static const tactile_field tactile_fields_display_description[] = {
     TACTILE_FIELD(display_description, latest_estop, integer, TACTILE_OPTIONAL),
     TACTILE_FIELD(display_description, follows, boolean, TACTILE_OPTIONAL),
     TACTILE_FIELD(display_description, threshold_um, pair_list, TACTILE_OPTIONAL),
+    TACTILE_FIELD(display_description, marker_lines, integer, TACTILE_OPTIONAL),
 };
 static const tactile_shape tactile_shape_display_description = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_display_description), 11,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_display_description), 12,
     NULL, NULL, tactile_fields_display_description};
 
 static const tactile_shape tactile_shape_display_description_list = {
@@ -1725,14 +1742,15 @@ static const tactile_shape tactile_shape_event = {
 static const char *const tactile_tag_onset[] = {"onset"};
 static const tactile_field tactile_fields_onset[] = {
     TACTILE_FIELD(onset, display, text, TACTILE_REQUIRED),
-    TACTILE_FIELD(onset, mark, integer, TACTILE_REQUIRED),
+    TACTILE_FIELD(onset, number, integer, TACTILE_REQUIRED),
     TACTILE_FIELD(onset, at_us, integer, TACTILE_REQUIRED),
     TACTILE_FLAGGED(onset, onset_us, number, TACTILE_REQUIRED, 0.0),
     TACTILE_FLAGGED(onset, uncertainty_us, number, TACTILE_REQUIRED, 0.0),
     TACTILE_FIELD(onset, reason, text, TACTILE_OPTIONAL),
+    TACTILE_FIELD(onset, marker, integer, TACTILE_OPTIONAL),
 };
 static const tactile_shape tactile_shape_onset = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_onset), 6,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_onset), 7,
     NULL, tactile_tag_onset, tactile_fields_onset};
 
 static const tactile_shape tactile_shape_boolean_list = {

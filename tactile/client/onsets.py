@@ -36,7 +36,11 @@ class Onset:
     uncertainty : float or None
         Half of the interval around ``time`` that holds the true one; None if it is not known [s].
     reason : str
-        Reason why it did not begin, or not at its time; empty if it did.
+        Reason why it did not begin, or not at its time, or without its marker; empty if all was as
+        it should be.
+    marker : int
+        Code that the marker lines of the amplifier have shown with its first sample, as far as it
+        has confirmed that; 0 for none.
     """
 
     display: str
@@ -44,6 +48,7 @@ class Onset:
     time: float | None
     uncertainty: float | None
     reason: str
+    marker: int = 0
 
 
 class At:
@@ -56,6 +61,9 @@ class At:
     drop_late : bool
         Whether the stimulus is dropped if it cannot begin at that time; by default it begins as
         soon as possible.
+    marker : int
+        Code that the marker lines of the amplifier take with its first sample, for 10 ms, so that
+        a recorder sees it: below 2 to the power of `DisplayInfo.marker_lines`; 0 for none.
 
     Attributes
     ----------
@@ -63,17 +71,22 @@ class At:
         Time at which the stimulus is to begin [s].
     drop_late : bool
         Whether it is dropped if it cannot.
+    marker : int
+        Code that the marker lines take with its first sample.
     used : bool
         Whether a stimulus has this time, as only one may.
 
     Raises
     ------
     InputError
-        If the time is not a finite number.
+        If the time is not a finite number, or the marker none of 0 … 255.
     """
 
-    def __init__(self, time: float, *, drop_late: bool = False) -> None:
+    def __init__(self, time: float, *, drop_late: bool = False, marker: int = 0) -> None:
+        if marker not in range(1 << 8):
+            raise InputError(f"marker {marker!r}: a code of 8 lines is one of 0 … 255")
         self.time, self.drop_late = to_number(time, "at [s]"), drop_late
+        self.marker = int(marker)
         self.used = False
         self._onset: Future[Onset] = Future()
 
@@ -151,7 +164,7 @@ class Onsets:
         self._lock = threading.Lock()
         self._last = 0
         self._waiting: dict[int, tuple[float, At]] = {}
-        """Stimuli by their marks, each with the time at which it was sent."""
+        """Stimuli by their numbers, each with the time at which it was sent."""
 
     def begin(self, at: "float | At | None") -> BeginAt | None:
         """Return the part of a message that says when a stimulus is to begin.
@@ -181,14 +194,16 @@ class Onsets:
             if stimulus.used:
                 raise InputError("at: it belongs to another stimulus; make an At for each")
             stimulus.used = True
-            for mark, (sent, _) in list(self._waiting.items()):
+            for number, (sent, _) in list(self._waiting.items()):
                 if sent > now - FORGOTTEN:
                     break
-                del self._waiting[mark]
-            self._last = mark = self._last + 1
-            self._waiting[mark] = now, stimulus
+                del self._waiting[number]
+            self._last += 1
+            self._waiting[self._last] = now, stimulus
         time_us = to_microseconds(stimulus.time + self._offset()[0])
-        return BeginAt(at_us=time_us, drop_late=stimulus.drop_late, mark=mark)
+        return BeginAt(
+            at_us=time_us, drop_late=stimulus.drop_late, number=self._last, marker=stimulus.marker
+        )
 
     def refused(self, begin: BeginAt | None, error: Exception) -> None:
         """Report that the server does not play a stimulus.
@@ -200,7 +215,7 @@ class Onsets:
         error : Exception
             Reason, which `At.onset` raises.
         """
-        stimulus = self._take(begin.mark) if begin is not None else None
+        stimulus = self._take(begin.number) if begin is not None else None
         if stimulus is not None:
             with suppress(InvalidStateError):
                 stimulus._onset.set_exception(error)
@@ -220,8 +235,9 @@ class Onsets:
             None if message.onset_us is None else message.onset_us * 1e-6 - offset,
             None if message.uncertainty_us is None else message.uncertainty_us * 1e-6 + uncertainty,
             message.reason,
+            message.marker,
         )
-        stimulus = self._take(message.mark)
+        stimulus = self._take(message.number)
         if stimulus is not None:
             with suppress(InvalidStateError):
                 stimulus._onset.set_result(onset)
@@ -240,6 +256,6 @@ class Onsets:
             with suppress(InvalidStateError):
                 stimulus._onset.set_exception(DisconnectedError(reason))
 
-    def _take(self, mark: int) -> At | None:
+    def _take(self, number: int) -> At | None:
         with self._lock:
-            return self._waiting.pop(mark, (0.0, None))[1]
+            return self._waiting.pop(number, (0.0, None))[1]

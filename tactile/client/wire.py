@@ -67,6 +67,8 @@ class DisplayInfo:
         Approximate time from a contact to the skin [s].
     follows : bool
         Whether playback follows the finger, so that telemetry has the loads that it finds.
+    marker_lines : int
+        Number of marker lines of its amplifier; 0 for none.
     """
 
     name: str
@@ -77,6 +79,7 @@ class DisplayInfo:
     waveforms: bool
     latency: float
     follows: bool = False
+    marker_lines: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,6 +86,8 @@ class DeviceOpened:
         Reason why the device could not be opened; empty if it was.
     follows : bool
         Whether playback follows the finger.
+    marker_lines : int
+        Number of marker lines of the amplifier; 0 for none.
     """
 
     sample_rate: float = 0.0
@@ -95,6 +97,7 @@ class DeviceOpened:
     real_time: tuple[str, ...] = ()
     why_not: str = ""
     follows: bool = False
+    marker_lines: int = 0
 
 
 @dataclass(frozen=True)
@@ -228,6 +231,8 @@ class PlayAt:
         Whether it is dropped if that is not possible any more; otherwise it is played at once.
     order : AppendSamples or BeginEffect or AddFrames
         What is to be played.
+    marker : int
+        Code that the marker lines take with its first sample; 0 for none.
     """
 
     number: int
@@ -235,6 +240,7 @@ class PlayAt:
     time: float
     drop_late: bool
     order: AppendSamples | BeginEffect | AddFrames
+    marker: int = 0
 
 
 @dataclass(frozen=True)
@@ -316,7 +322,10 @@ class OnsetReport:
     uncertainty : float
         Half of the interval around that time that holds the true one; NaN if it is not known [s].
     reason : str
-        Reason why it was not played, or not at its time; empty if it was.
+        Reason why it was not played, or not at its time, or without its marker; empty if all was as
+        it should be.
+    marker : int
+        Code that the marker lines took with its first sample; 0 if they took none.
     """
 
     number: int
@@ -324,6 +333,7 @@ class OnsetReport:
     time: float
     uncertainty: float
     reason: str = ""
+    marker: int = 0
 
 
 Order = (

@@ -212,7 +212,11 @@ class PlaybackLoop(Mixer):
         self.position += self.rendering.spacing
         due = round(self.bus.due(position + self.rendering.timed), DUE_PLACES)
         block = BlockInput(self.report.blocks, position, skipped, now, due, contacts)
+        known = len(self.onsets)
         drive = self.render(block)
+        for onset in self.onsets[known:]:
+            if onset.marker and onset.position is not None:
+                self.bus.mark(onset.position, onset.marker)
         try:
             if isinstance(drive, DriveBlock):
                 self.bus.write(drive)

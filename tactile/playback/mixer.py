@@ -333,7 +333,9 @@ class Mixer:
                     self._miss([scheduled], "the program has stopped what it plays")
                     return
         at = start + begin.offset + round(wait * self._rate)
-        self.onsets.append(StimulusOutcome(scheduled.number, scheduled.client, at, reason))
+        self.onsets.append(
+            StimulusOutcome(scheduled.number, scheduled.client, at, reason, scheduled.marker)
+        )
 
     def _busy(
         self, order: commands.AppendSamples | commands.BeginEffect | commands.AddFrames

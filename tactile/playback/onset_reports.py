@@ -6,9 +6,11 @@ known a little later, when the amplifier has reported.
 
 import bisect
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from tactile.bus.base import Bus
+from tactile.bus.marks import MarkReport
 from tactile.playback.commands import OnsetReport
 from tactile.playback.schedule import StimulusOutcome
 
@@ -51,6 +53,8 @@ class OnsetReports:
     def __init__(self, bus: Bus) -> None:
         self._bus, self._awaited = bus, list[_Awaited]()
         self._reports: list[OnsetReport] = []
+        self._shown: deque[MarkReport] = deque()
+        """Marks of stimuli of which it is not known what became of them, and later ones."""
 
     @property
     def waiting(self) -> bool:
@@ -86,6 +90,7 @@ class OnsetReports:
         running : bool
             Whether the bus plays.
         """
+        self._shown += self._bus.take_marks()
         while self._awaited and self._awaited[0].due + CONFIRMED < now:
             self._confirm(self._awaited.pop(0), unplayed)
         if not running:
@@ -93,19 +98,39 @@ class OnsetReports:
             for one in self._awaited[first:]:
                 self._report(one.onset, math.nan, math.nan, "playback ended before it")
             del self._awaited[first:]
+        self._forget_marks()
+
+    def _forget_marks(self) -> None:
+        """Forget marks of stimuli on which nothing is to be reported any more."""
+        awaited = self._awaited[0].onset.position if self._awaited else None
+        while self._shown and (awaited is None or self._shown[0].position < awaited):
+            self._shown.popleft()
 
     def _confirm(self, one: _Awaited, unplayed: int) -> None:
         """Report the time of a stimulus, which samples that were not put out make less certain."""
         lost, reason = max(unplayed - one.unplayed, 0), one.onset.reason
         if lost:
             reason = reason or f"{lost} samples around it were not put out"
+        marker = one.onset.marker
+        shown = [mark.code for mark in self._shown if mark.position == one.onset.position]
+        if marker and marker not in shown:
+            marker, reason = 0, reason or "the marker lines did not show its code"
         uncertainty = one.uncertainty + lost / self._bus.wiring.sample_rate
         # no clock while samples are lost: the amplifier could not be reached
         due = math.nan if lost and math.isnan(uncertainty) else one.due
-        self._report(one.onset, due, uncertainty, reason)
+        self._report(one.onset, due, uncertainty, reason, marker)
 
-    def _report(self, onset: StimulusOutcome, time: float, uncertainty: float, reason: str) -> None:
-        self._reports.append(OnsetReport(onset.number, onset.client, time, uncertainty, reason))
+    def _report(
+        self,
+        onset: StimulusOutcome,
+        time: float,
+        uncertainty: float,
+        reason: str,
+        marker: int = 0,
+    ) -> None:
+        self._reports.append(
+            OnsetReport(onset.number, onset.client, time, uncertainty, reason, marker)
+        )
 
     def take(self) -> list[OnsetReport]:
         """Return the reports since the last call.

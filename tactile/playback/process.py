@@ -413,6 +413,7 @@ def open_device(setup: PlaybackSetup) -> tuple[Bus, DeviceOpened]:
         frames.carriers if frames is not None else 0,
         frames.rate if frames is not None else 0.0,
         bus.ahead,
+        marker_lines=bus.marker_lines,
     )
 
 

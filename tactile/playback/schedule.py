@@ -40,12 +40,15 @@ class StimulusOutcome:
         Position of its first sample in the drive [samples]; None if it was dropped.
     reason : str
         Reason why it was dropped, or did not begin at its time; empty if it did.
+    marker : int
+        Code that the marker lines are to take with its first sample; 0 for none.
     """
 
     number: int
     client: int
     position: int | None
     reason: str = ""
+    marker: int = 0
 
 
 @dataclass(frozen=True)

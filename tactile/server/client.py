@@ -220,7 +220,7 @@ class Client:
         if len(values) % contactors:
             text = f"{len(values)} values are no whole number of frames for {contactors} contactors"
             return failed("invalid_field", text, field="frames")
-        if failure := self._begin_failure(message.begin):
+        if failure := self._begin_failure(playing, message.begin):
             return failure
         if self._has_left or not len(values):
             return None
@@ -238,13 +238,21 @@ class Client:
         self._sounds_until = max(self._sounds_until, loop_time() + from_now + seconds)
 
     @staticmethod
-    def _begin_failure(begin: m.BeginAt | None) -> Failure | None:
-        """Return what is wrong with the time at which something is to begin."""
-        ahead = 0.0 if begin is None else begin.at_us * 1e-6 - loop_time()
-        if ahead <= m.FARTHEST:
+    def _begin_failure(playing: Playing, begin: m.BeginAt | None) -> Failure | None:
+        """Return what is wrong with the time at which something is to begin, or its marker."""
+        if begin is None:
             return None
-        text = f"{ahead:.6g} s ahead; at most {m.FARTHEST:g} s"
-        return failed("invalid_field", text, field="begin.at_us")
+        ahead, lines = begin.at_us * 1e-6 - loop_time(), playing.how.marker_lines
+        if ahead > m.FARTHEST:
+            text = f"{ahead:.6g} s ahead; at most {m.FARTHEST:g} s"
+            return failed("invalid_field", text, field="begin.at_us")
+        if begin.marker >> lines:
+            text = (
+                f"code {begin.marker}; must be below {1 << lines}, as the amplifier has {lines} "
+                f"marker line{'' if lines == 1 else 's'}"
+            )
+            return failed("invalid_field", text, field="begin.marker")
+        return None
 
     async def request(self, command: Command) -> Answer:
         """Carry out a request.
@@ -393,7 +401,7 @@ class Client:
         if isinstance(samples, Failure):
             return samples
         playing.state_of(self.number)
-        if failure := self._begin_failure(command.begin):
+        if failure := self._begin_failure(playing, command.begin):
             return failure
         order = commands.AppendSamples(
             self.number, np.float32(command.amplitude_um * 1e-6) * samples,
@@ -418,7 +426,7 @@ class Client:
         for name, rows in (("amplitude", curve.amplitude), ("frequency", curve.frequency)):
             if np.any(np.diff(rows[:, 0]) < 0):
                 return failed("invalid_field", "times must not descend", field=name)
-        if failure := self._begin_failure(command.begin):
+        if failure := self._begin_failure(playing, command.begin):
             return failure
         order = playing.stimuli.timed(commands.BeginEffect(self.number, curve), command.begin)
         await playing.request(order)
@@ -434,7 +442,7 @@ class Client:
         if failure is not None:
             return failure
         playing.state_of(self.number)
-        if failure := self._begin_failure(command.begin):
+        if failure := self._begin_failure(playing, command.begin):
             return failure
         order = commands.AppendSamples(
             self.number, np.float32(command.gain) * effect.shear, SAMPLE_RATE, (),

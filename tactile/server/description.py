@@ -47,4 +47,5 @@ def describe(
         latest_estop=latch.number,
         follows=how.follows,
         threshold_um=tuple(zip(CENTERS.tolist(), THRESHOLD_UM, strict=True)),
+        marker_lines=how.marker_lines,
     )

@@ -52,7 +52,9 @@ class Stimuli:
             return order
         self._last += 1
         self._waiting[self._last] = order.client, begin
-        return PlayAt(self._last, order.client, begin.at_us * 1e-6, begin.drop_late, order)
+        return PlayAt(
+            self._last, order.client, begin.at_us * 1e-6, begin.drop_late, order, begin.marker
+        )
 
     def report(self, report: OnsetReport) -> None:
         """Report to its client what became of a stimulus.
@@ -83,11 +85,12 @@ class Stimuli:
     def _send(self, client: int, begin: BeginAt, report: OnsetReport) -> None:
         message = OnsetMessage(
             display=self._display,
-            mark=begin.mark,
+            number=begin.number,
             at_us=begin.at_us,
             onset_us=_microseconds(report.time),
             uncertainty_us=_microseconds(report.uncertainty),
             reason=report.reason,
+            marker=report.marker,
         )
         self._post(message, client)
 

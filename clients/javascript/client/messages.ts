@@ -241,7 +241,13 @@ export interface BeginAt {
    * Number chosen by the client, which the `OnsetMessage` repeats.
    * @default 0
    */
-  mark?: number;
+  number?: number;
+  /**
+   * Code that the marker lines of the amplifier take with the first sample, for 10 ms, below 2
+   * to the power of `DisplayDescription.marker_lines`; 0 for none.
+   * @default 0
+   */
+  marker?: number;
 }
 
 /**
@@ -553,6 +559,11 @@ export interface DisplayDescription {
    * @default []
    */
   threshold_um?: [number, number][];
+  /**
+   * Number of marker lines of its amplifier; 0 for none.
+   * @default 0
+   */
+  marker_lines?: number;
 }
 
 /** Answer to `ClientHello`: the client is admitted. */
@@ -793,7 +804,7 @@ export interface OnsetMessage {
   /** Name of the display. */
   display: string;
   /** Number that the client gave it in `BeginAt`. */
-  mark: number;
+  number: number;
   /** Time at which it was to begin, as in `BeginAt` [µs]. */
   at_us: number;
   /**
@@ -807,10 +818,17 @@ export interface OnsetMessage {
    */
   uncertainty_us: number | null;
   /**
-   * Reason in one line why it did not begin, or not at its time; empty if it did.
+   * Reason in one line why it did not begin, or not at its time, or without its marker; empty if
+   * all was as it should be.
    * @default ""
    */
   reason?: string;
+  /**
+   * Code that the marker lines have shown with its first sample, as far as the amplifier has
+   * confirmed that; 0 for none.
+   * @default 0
+   */
+  marker?: number;
 }
 
 /** Loads of a finger on the contactors, as playback finds them from their currents. */

@@ -151,13 +151,14 @@ export const SHAPES: Readonly<Record<string, Shape>> = {
   OnsetMessage: {
     required: {
       display: "string",
-      mark: "integer",
+      number: "integer",
       at_us: "integer",
       onset_us: { anyOf: ["number", "null"] },
       uncertainty_us: { anyOf: ["number", "null"] },
     },
     optional: {
       reason: "string",
+      marker: "integer",
     },
   },
   TelemetryMessage: {
@@ -194,6 +195,7 @@ export const SHAPES: Readonly<Record<string, Shape>> = {
       latest_estop: "integer",
       follows: "boolean",
       threshold_um: { list: { tuple: ["number", "number"] } },
+      marker_lines: "integer",
     },
   },
   TextureInfo: {

@@ -128,13 +128,14 @@ export const SHAPES = {
     OnsetMessage: {
         required: {
             display: "string",
-            mark: "integer",
+            number: "integer",
             at_us: "integer",
             onset_us: { anyOf: ["number", "null"] },
             uncertainty_us: { anyOf: ["number", "null"] },
         },
         optional: {
             reason: "string",
+            marker: "integer",
         },
     },
     TelemetryMessage: {
@@ -171,6 +172,7 @@ export const SHAPES = {
             latest_estop: "integer",
             follows: "boolean",
             threshold_um: { list: { tuple: ["number", "number"] } },
+            marker_lines: "integer",
         },
     },
     TextureInfo: {

@@ -4,14 +4,16 @@ A burst begins 25 times a second, each on another contactor. Over a serial link 
 process lets them begin at times of its own clock, and the server plays them to the C amplifier on a
 pty. Over CAN FD they are ordered from the playback of this process, as the model of the link is
 within reach of one process only. The true onset is where the drive in the amplifier's record agrees
-best with the rendered burst, which knows nothing of what playback and server say about it.
+best with the rendered burst, which knows nothing of what playback and server say about it. Each
+burst has a marker, whose code has to rise with the same sample.
 """
 
 import asyncio
+import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from itertools import chain
 from pathlib import Path
@@ -55,6 +57,9 @@ CLIENT = "from benchmarks.onsets import send; send({!r}, {!r}, {!r})"
 """Code of the client's process."""
 NAME = "bench"
 """Name of the display."""
+HEAD, MARKS = struct.Struct("<QBI"), 18
+"""Head of a record of what the amplifier sent, with its tick, kind and length, and the kind of a
+change of the marker lines, of which the last byte is the code."""
 SEARCHED = 0.03
 """Time around that of a stimulus in which its burst is looked for [s]."""
 
@@ -63,6 +68,22 @@ def burst() -> Floats:
     """Return the values of a burst at `RATE`: 16 ms of 250 Hz under half a period of a sine."""
     time_s = np.arange(int(0.016 * RATE)) / RATE
     return np.asarray(np.cos(2 * np.pi * 250 * time_s) * np.sin(np.pi * time_s / 0.016))
+
+
+def marker(k: int) -> int:
+    """Return the code of the marker of a burst, which those near to it do not have.
+
+    Parameters
+    ----------
+    k : int
+        Number of the burst.
+
+    Returns
+    -------
+    int
+        Code from 1 to 255.
+    """
+    return k % 255 + 1
 
 
 def planned(count: int) -> Floats:
@@ -92,13 +113,15 @@ def send(url: str, count: int, file: str) -> None:
     count : int
         Number of bursts, K.
     file : str
-        File for an array (K, 4): time that was given, reported onset and its uncertainty [s], and
-        whether there was a reason.
+        File for an array (K, 5): time that was given, reported onset and its uncertainty [s],
+        whether there was a reason, and the code that the marker lines are reported to have shown.
     """
     import tactile.client
 
     samples = burst().tolist()
-    stimuli = [tactile.client.At(float(when)) for when in planned(count)]
+    stimuli = [
+        tactile.client.At(float(when), marker=marker(k)) for k, when in enumerate(planned(count))
+    ]
     with tactile.client.connect(url) as display:
         for k, at in enumerate(stimuli):
             while (left := at.time - AHEAD - time.monotonic()) > 0:
@@ -110,7 +133,7 @@ def send(url: str, count: int, file: str) -> None:
     nan = float("nan")
     rows = [
         (o.at, nan if o.time is None else o.time, nan if o.uncertainty is None else o.uncertainty,
-         float(bool(o.reason)))
+         float(bool(o.reason)), o.marker)
         for o in onsets
     ]  # fmt: skip
     np.save(file, np.array(rows))
@@ -145,13 +168,15 @@ def _played_over_can(bus: Bus, display: Display, count: int) -> Floats:
         while len(reports) < count:
             while ordered < count and times[ordered] < time.monotonic() + AHEAD:
                 order = AppendSamples(1, samples, RATE, (ordered % CONTACTORS,), append=True)
-                player.apply(PlayAt(ordered, 1, float(times[ordered]), False, order))
+                when, code = float(times[ordered]), marker(ordered)
+                player.apply(PlayAt(ordered, 1, when, False, order, code))
                 ordered += 1
             player.step()
             reports |= {report.number: report for report in player.report_onsets()}
         player.disarm()
     return np.array([
-        (times[k], reports[k].time, reports[k].uncertainty, float(bool(reports[k].reason)))
+        (times[k], reports[k].time, reports[k].uncertainty, float(bool(reports[k].reason)),
+         reports[k].marker)
         for k in range(count)
     ])  # fmt: skip
 
@@ -202,9 +227,40 @@ def true_onsets(records: Records, powered_up: float, asked: Floats) -> Floats:
     return onsets
 
 
-def _figures(name: str, rows: Floats, onsets: Floats) -> Iterator[Figure]:
-    """Yield the figures of stimuli: asked, reported, uncertainty and whether it has a reason."""
-    asked, reported, uncertainty, excused = rows.T
+def marker_times(file: Path, powered_up: float, asked: Floats) -> Floats:
+    """Return the time at which the marker of each burst rose, by the amplifier's record (K,) [s].
+
+    Parameters
+    ----------
+    file : Path
+        Record of what the amplifier sent.
+    powered_up : float
+        Time at which its clock was 0 [s].
+    asked : (K,) array of float
+        Times at which the bursts were to begin [s].
+
+    Returns
+    -------
+    (K,) array of float
+        Times; NaN where the code did not rise near that time [s].
+    """
+    data, at = file.read_bytes(), 0
+    rises: dict[int, list[float]] = {}
+    while at < len(data):
+        tick, kind, size = HEAD.unpack_from(data, at)
+        at += HEAD.size + size
+        if kind == MARKS:
+            rises.setdefault(data[at - 1], []).append(powered_up + tick * 1e-6)
+    times = np.full(len(asked), np.nan)
+    for k, when in enumerate(asked):
+        near = [rise for rise in rises.get(marker(k), []) if abs(rise - when) < SEARCHED]
+        times[k] = near[0] if len(near) == 1 else np.nan
+    return times
+
+
+def _figures(name: str, rows: Floats, onsets: Floats, rises: Floats) -> Iterator[Figure]:
+    """Yield the figures of bursts: rows as of `send`, times of their samples and their markers."""
+    asked, reported, uncertainty, excused, shown = rows.T
     error = np.abs(onsets - asked)
     missed = ~(error <= 1 / RATE)
     inside = np.abs(onsets - reported) <= uncertainty
@@ -216,30 +272,46 @@ def _figures(name: str, rows: Floats, onsets: Floats) -> Iterator[Figure]:
     yield at_most(f"{name}.unreported_misses", float(np.sum(missed & ~excused.astype(bool))), "", 0)
     yield at_least(f"{name}.within_interval", 100 * float(np.mean(inside[known])), "%", 99)
     yield Figure(f"{name}.uncertainty.p50", 1e6 * float(np.nanpercentile(uncertainty, 50)), "µs")
+    with_sample = np.abs(rises - onsets) < 0.5 / RATE
+    yield at_least(f"{name}.marked_with_sample", 100 * float(np.mean(with_sample)), "%", 99.9)
+    confirmed = shown == [marker(k) for k in range(len(rows))]
+    wrong = confirmed != np.isfinite(rises)
+    yield at_most(f"{name}.markers_misreported", float(np.sum(wrong)), "", 0)
 
 
-def _measured(name: str, amplifier: VirtualAmplifier, rows: Floats) -> Iterator[Figure]:
-    """Yield the figures by the record of an amplifier."""
-    time.sleep(0.1)
-    yield from _figures(name, rows, true_onsets(amplifier.take(), amplifier.powered_up, rows[:, 0]))
+def _measured(
+    name: str, folder: Path, link: tuple[str, ...], play: Callable[[VirtualAmplifier], Floats]
+) -> Iterator[Figure]:
+    """Yield the figures of bursts that a function plays on an amplifier, by its record."""
+    sent = folder / "sent"
+    with closing(VirtualAmplifier(folder, *link, "--sent", str(sent))) as amplifier:
+        rows = play(amplifier)
+        time.sleep(0.1)
+        onsets = true_onsets(amplifier.take(), amplifier.powered_up, rows[:, 0])
+    yield from _figures(name, rows, onsets, marker_times(sent, amplifier.powered_up, rows[:, 0]))
 
 
 def _serial(count: int) -> Iterator[Figure]:
-    with workshop() as folder, closing(VirtualAmplifier(folder, "--pty")) as amplifier:
+    with workshop() as folder:
         file = folder / "onsets.npy"
-        asyncio.run(_played(f"serial://{amplifier.path}", count, file))
-        yield from _measured("onsets.serial", amplifier, np.load(file))
+
+        def play(amplifier: VirtualAmplifier) -> Floats:
+            asyncio.run(_played(f"serial://{amplifier.path}", count, file))
+            return np.asarray(np.load(file))
+
+        yield from _measured("onsets.serial", folder, ("--pty",), play)
 
 
 def _can(count: int) -> Iterator[Figure]:
     display = load_display("reference-24")
-    with (
-        workshop() as folder,
-        closing(VirtualAmplifier(folder, "--can", str(folder / "can"), "--fd")) as amplifier,
-        can_bus(folder, display, Can(1e6, 5e6), rearm=True) as bus,
-    ):
-        rows = _played_over_can(bus, display, count)
-        yield from _measured("onsets.canfd_1_5", amplifier, rows)
+    with workshop() as folder:
+
+        def play(_: VirtualAmplifier) -> Floats:
+            with can_bus(folder, display, Can(1e6, 5e6), rearm=True) as bus:
+                return _played_over_can(bus, display, count)
+
+        link = "--can", str(folder / "can"), "--fd"
+        yield from _measured("onsets.canfd_1_5", folder, link, play)
 
 
 def measure_onsets(count: int = SHORT) -> Iterator[Figure]:

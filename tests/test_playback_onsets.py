@@ -26,8 +26,8 @@ from tactile.playback.commands import (
     SetState,
 )
 from tactile.playback.loop import PlaybackLoop
-from tactile.playback.mixer import BEGINS_WORK, FADING
-from tactile.playback.onset_reports import OnsetReports
+from tactile.playback.mixer import BEGINS_WORK, FADING, UNTOUCHED
+from tactile.playback.onset_reports import NOT_CONFIRMED, OnsetReports
 from tactile.playback.schedule import (
     BEGIN_WORK,
     CUT_WORK,
@@ -197,6 +197,8 @@ def test_samples_for_which_there_is_no_room_at_their_time_are_reported(stage: St
     stage.player.apply(waveform(RATE, seconds=0.98))
     start = stage.player.position + stage.player.rendering.timed
     schedule(stage, waveform(RATE), stage.bus.due(start), drop_late=False)
+    stage.rest(0.9)
+    assert stage.player.onsets == [], "its contactors are not free yet"
     stage.rest(0.1)
     assert stage.player.onsets == [StimulusOutcome(1, ME, start + 7840, "240 samples had no room")]
 
@@ -268,12 +270,11 @@ def test_what_is_stopped_disarmed_or_never_armed_is_reported(stage: Stage) -> No
     stage.player.arm()
     schedule(stage, waveform(), time, 3)
     stage.player.disarm()
-    assert [onset.number for onset in stage.player.onsets] == [1, 2]
-    stage.player.clock.sleep(1.0)
+    assert [onset.number for onset in stage.player.onsets] == [2]
     assert not stage.player.running
-    stage.player.drop_scheduled()
-    assert [onset.number for onset in stage.player.onsets] == [1, 2, 3]
-    assert {onset.position for onset in stage.player.onsets} == {None}
+    reports = stage.player.report_onsets()
+    assert [report.number for report in reports] == [1, 2, 3]
+    assert all(math.isnan(report.time) for report in reports)
 
 
 def test_no_more_stimuli_wait_than_there_is_room_for(stage: Stage) -> None:
@@ -589,7 +590,7 @@ def test_of_two_stimuli_that_begin_with_the_same_sample_one_marker_is_shown(stag
     shown = {
         report.number: (report.marker, report.reason) for report in stage.player.report_onsets()
     }
-    hidden = (0, "the marker lines did not show its code")
+    hidden = (0, NOT_CONFIRMED)
     assert shown == {1: hidden, 2: (2, ""), 3: (2, "")}
 
 
@@ -610,4 +611,101 @@ def test_markers_that_the_amplifier_does_not_confirm_are_reported_and_not_kept(
         stage.rest(0.1)
         shown += [report.marker for report in stage.player.report_onsets()]
     assert shown == [0, 0, 4]
-    assert not stage.player.onset_reports._shown
+    assert not stage.bus.take_marks()
+
+
+def test_markers_of_before_are_not_those_of_stimuli_after_the_display_was_armed_anew(
+    stage: Stage,
+) -> None:
+    """Positions begin at 0 again, and so may those of marks."""
+    first = stage.player.position + 160
+    schedule(stage, waveform(), stage.bus.due(first), 1, marker=5)
+    schedule(stage, waveform(), stage.bus.due(first + 800), 2)
+    stage.rest(0.15)
+    schedule(stage, waveform(), stage.bus.due(stage.player.position + 8000), 3, marker=6)
+    stage.player.arm()
+    reports = {report.number: report for report in stage.player.report_onsets()}
+    assert (reports[1].marker, reports[1].reason) == (5, "")
+    assert (reports[2].marker, reports[2].reason) == (0, "")
+    assert (reports[3].marker, reports[3].reason) == (0, "the display was armed anew")
+    stage.rest(0.05)
+    again = [(first, 6), (first, 7), (400, 8)]
+    for number, (position, code) in enumerate(again, 4):
+        wave = waveform(contactors=(number,))
+        schedule(stage, wave, stage.bus.due(position), number, drop_late=False, marker=code)
+    stage.rest(0.6)
+    reports = {report.number: report for report in stage.player.report_onsets()}
+    assert [reports[k].marker for k in (4, 5)] == [0, 7]
+    assert reports[6].marker == 8
+
+
+@pytest.mark.parametrize(
+    ("end", "reason"),
+    [
+        (EndWaves(ME), "it was stopped"),
+        (ForgetClient(ME), "its program has left"),
+        (dataclasses.replace(waveform(RATE), append=False), "another waveform took its place"),
+    ],
+)
+def test_a_stimulus_that_waits_and_is_dropped_is_neither_marked_nor_reported_as_begun(
+    stage: Stage, end: EndWaves | ForgetClient | AppendSamples, reason: str
+) -> None:
+    stage.player.apply(AppendSamples(ME, np.full(4000, 1e-6, np.float32), RATE, (3,), True))
+    time = stage.bus.due(stage.player.position + 160)
+    schedule(stage, waveform(RATE), time, drop_late=False, marker=1)
+    stage.rest(0.1)
+    assert stage.player.onsets == []
+    stage.player.apply(end)
+    assert stage.player.onsets == [StimulusOutcome(1, ME, None, reason)]
+    stage.rest(0.6)
+    assert not stage.bus.lines.any()
+
+
+def test_a_waveform_of_other_contactors_does_not_take_the_place_of_one_that_waits(
+    stage: Stage,
+) -> None:
+    stage.player.apply(AppendSamples(ME, np.full(1600, 1e-6, np.float32), RATE, (3,), True))
+    time = stage.bus.due(stage.player.position + 160)
+    schedule(stage, waveform(RATE), time, drop_late=False, marker=1)
+    stage.rest(0.1)
+    stage.player.apply(dataclasses.replace(waveform(RATE, contactors=(4,)), append=False))
+    stage.rest(0.2)
+    (onset,) = stage.player.onsets
+    assert np.flatnonzero(stage.bus.lines)[0] == onset.position
+
+
+def test_a_waveform_that_another_one_of_the_same_block_cut_short_has_begun(stage: Stage) -> None:
+    start = (stage.player.position // BLOCK + 10) * BLOCK
+    schedule(stage, waveform(RATE), stage.bus.due(start + 1), 1, marker=1)
+    shorter = dataclasses.replace(waveform(RATE), append=False)
+    schedule(stage, shorter, stage.bus.due(start + 9), 2, marker=2)
+    stage.rest(0.45)
+    reports = {report.number: report for report in stage.player.report_onsets()}
+    assert [reports[k].marker for k in (1, 2)] == [1, 2]
+    changes = np.flatnonzero(np.diff(stage.bus.lines.astype(int))) + 1
+    assert changes.tolist() == [start + 1, start + 9, start + 89]
+
+
+@pytest.mark.parametrize("drop_late", [False, True])
+def test_a_stimulus_that_no_finger_feels_says_so(display: Display, drop_late: bool) -> None:
+    memory, clock = PlaybackMemory.create(len(display.contactors)), ModelClock()
+    bus = MockBus(Wiring.of(display, RATE), clock=clock)
+    player = PlaybackLoop(display, bus, memory, clock=clock)
+    player.arm()
+    stage = Stage(player, bus)
+    stage.rest(0.1)
+    schedule(stage, waveform(), bus.due(player.position + 160), drop_late=drop_late, marker=1)
+    stage.rest(0.1)
+    (onset,) = player.onsets
+    assert onset.reason == UNTOUCHED
+    assert (onset.position is None) == drop_late == (not bus.lines.any())
+    bus.close()
+    memory.close()
+
+
+def test_an_effect_that_begins_with_a_waveform_is_not_replaced_by_it(stage: Stage) -> None:
+    time = stage.bus.due(stage.player.position + 160)
+    schedule(stage, effect(), time, 1)
+    schedule(stage, dataclasses.replace(waveform(), append=False), time, 2)
+    stage.rest(0.1)
+    assert {onset.position is None for onset in stage.player.onsets} == {False}

@@ -325,7 +325,8 @@ class OnsetReport:
         Reason why it was not played, or not at its time, or without its marker; empty if all was as
         it should be.
     marker : int
-        Code that the marker lines took with its first sample; 0 if they took none.
+        Code that the marker lines have shown with its first sample, as far as the amplifier has
+        confirmed that; 0 for none.
     """
 
     number: int

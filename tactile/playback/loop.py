@@ -138,6 +138,7 @@ class PlaybackLoop(Mixer):
             If the amplifier does not start.
         """
         self.bus.stop()
+        self.onset_reports.settle(self.clock.now(), self._pass_onsets_on())
         if isinstance(self.rendering, FramePlayback):
             self.bus.tune(self.rendering.carriers)
         if self.following is not None:
@@ -244,12 +245,16 @@ class PlaybackLoop(Mixer):
         if not running:
             self.drop_scheduled()
         if self.onsets or self.onset_reports.waiting:
-            unplayed = self._unplayed
-            for onset in self.onsets:
-                self.onset_reports.add(onset, unplayed)
-            self.onsets.clear()
-            self.onset_reports.look(now, unplayed, running=running)
+            self.onset_reports.look(now, self._pass_onsets_on(), running=running)
         return self.onset_reports.take()
+
+    def _pass_onsets_on(self) -> int:
+        """Pass stimuli on to their reports; return the number of samples not put out so far."""
+        unplayed = self._unplayed
+        for onset in self.onsets:
+            self.onset_reports.add(onset, unplayed)
+        self.onsets.clear()
+        return unplayed
 
     def _follow(self, drive: DriveBlock) -> None:
         """Let the filters follow what has been measured by now, after a block was written."""

@@ -21,7 +21,14 @@ from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback import commands
 from tactile.playback.block_rendering import BLOCK, FramePlayback, SamplePlayback
-from tactile.playback.schedule import MOST_SCHEDULED, MOST_VALUES, Begin, Schedule, StimulusOutcome
+from tactile.playback.schedule import (
+    MOST_SCHEDULED,
+    MOST_VALUES,
+    Begin,
+    QueuedStimulus,
+    Schedule,
+    StimulusOutcome,
+)
 from tactile.playback.voice import ClientState, Voice
 from tactile.playback.waves import TURN, affordable
 from tactile.rendering.equalizer import EqualizerLike
@@ -39,6 +46,8 @@ BEGINS_WORK, BEGINS_WORK_IN_BLOCK = 60_000, 6000
 is regained in each block; in units of `tactile.playback.waves`."""
 NO_TIME = "the block in which it began had no time for it"
 """Reason of a stimulus that was silent at first."""
+UNTOUCHED = "no finger touched the display"
+"""Reason of a stimulus that was weaker, or not felt."""
 FADING = "playback faded in then, as it does at its beginning and after a gap"
 """Reason of a stimulus that was weaker at first."""
 NOTHING: Mapping[int, Sequence[Begin]] = {}
@@ -108,7 +117,8 @@ class Mixer:
     schedule : Schedule
         Stimuli that wait for their time.
     onsets : list of StimulusOutcome
-        What became of stimuli whose time has come; whoever reports them takes them out.
+        What became of stimuli that were to begin by the end of the last block; whoever reports them
+        takes them out.
     rendering : SamplePlayback or FramePlayback
         Rendering for the kind of link.
     tracker : ContactTracker
@@ -140,6 +150,7 @@ class Mixer:
         self.voices: dict[int, Voice] = {}
         self.schedule = Schedule()
         self.onsets: list[StimulusOutcome] = []
+        self._queued: list[QueuedStimulus] = []
         self.rendering: SamplePlayback | FramePlayback = (
             SamplePlayback(display, sample_rate, inverse)
             if frames is None
@@ -246,9 +257,9 @@ class Mixer:
                 return self._schedule_order(order)
             case commands.EndWaves():
                 self.voice(order.client).end_waves()
-                self._miss(self.schedule.drop(order.client), "it was stopped")
+                self._drop("it was stopped", order.client)
             case commands.ForgetClient():
-                self._miss(self.schedule.drop(order.client), "its program has left")
+                self._drop("its program has left", order.client)
                 self.forget(order.client)
         return ()
 
@@ -256,9 +267,18 @@ class Mixer:
         """Queue samples; return how many were taken, and the time of those that wait [s]."""
         waves = self.voice(order.client).queue
         if not order.append:
-            waves.clear(order.contactors)
+            self._clear(order)
         taken = waves.append(order.samples, order.sample_rate, order.contactors, order.longest)
         return float(taken), waves.waiting(order.contactors)
+
+    def _clear(self, order: commands.AppendSamples, begins: int = 0) -> None:
+        """Drop what waits for the contactors of an order, which begins at a position."""
+        self.voice(order.client).queue.clear(order.contactors)
+        for one in list(self._queued):
+            replaced = one.order.client == order.client and one.waits_for(order.contactors)
+            if replaced and one.position >= begins:
+                self._queued.remove(one)
+                self._miss([one.order], "another waveform took its place")
 
     def _add_frames(self, order: commands.AddFrames, *, exactly: bool = False) -> None:
         """Play tactile frames, unless the client has stopped what it plays."""
@@ -298,9 +318,15 @@ class Mixer:
             StimulusOutcome(order.number, order.client, None, reason) for order in dropped
         ]
 
+    def _drop(self, reason: str, client: int | None = None) -> None:
+        """Drop the stimuli of a client that have not begun, or those of all."""
+        queued = [one for one in self._queued if client in (None, one.order.client)]
+        self._queued = [one for one in self._queued if client not in (None, one.order.client)]
+        self._miss(self.schedule.drop(client) + [one.order for one in queued], reason)
+
     def drop_scheduled(self) -> None:
-        """Drop all stimuli that wait for their time, because nothing plays."""
-        self._miss(self.schedule.drop(), "the display was not armed")
+        """Drop all stimuli that have not begun, because nothing plays."""
+        self._drop("the display was not armed")
 
     def _begin(self, begin: Begin, start: int, reason: str) -> None:
         """Begin a stimulus at the next sample of its voice, in a block that starts at a position.
@@ -319,7 +345,7 @@ class Mixer:
         wait = 0.0
         match scheduled.order:
             case commands.AppendSamples() as order:
-                wait, missing = self._append_exactly(order)
+                wait, missing = self._append_exactly(order, start + begin.offset)
                 if missing:
                     reason = f"{missing} samples had no room"
                 if missing == len(order.samples):
@@ -333,9 +359,7 @@ class Mixer:
                     self._miss([scheduled], "the program has stopped what it plays")
                     return
         at = start + begin.offset + round(wait * self._rate)
-        self.onsets.append(
-            StimulusOutcome(scheduled.number, scheduled.client, at, reason, scheduled.marker)
-        )
+        self._queued.append(QueuedStimulus(scheduled, at, reason))
 
     def _busy(
         self, order: commands.AppendSamples | commands.BeginEffect | commands.AddFrames
@@ -345,14 +369,14 @@ class Mixer:
             return self.voice(order.client).queue.waiting(order.contactors)
         return 0.0
 
-    def _append_exactly(self, order: commands.AppendSamples) -> tuple[float, int]:
-        """Play samples at the next sample if nothing waits for their contactors.
+    def _append_exactly(self, order: commands.AppendSamples, begins: int) -> tuple[float, int]:
+        """Play samples at the next sample, a position, if nothing waits for their contactors.
 
         Return the time until they begin [s], and the number of samples that do not fit.
         """
         queue = self.voice(order.client).queue
         if not order.append:
-            queue.clear(order.contactors)
+            self._clear(order, begins)
         taken = queue.append(
             order.samples, order.sample_rate, order.contactors, order.longest, exactly=True
         )
@@ -362,7 +386,7 @@ class Mixer:
     def silence(self) -> None:
         """Drop all waves and fade in, before playing begins: no earlier wave continues."""
         self.rendering.restart()
-        self._miss(self.schedule.drop(), "the display was armed anew")
+        self._drop("the display was armed anew")
         for voice in self.voices.values():
             voice.silence()
 
@@ -393,7 +417,13 @@ class Mixer:
         begins = self._take_scheduled(float(times[0]), len(times))
         start = block.position + self.rendering.timed
         waves = self._waves(len(times), block.number, begins, start)
+        self._take_begun(start + len(times))
         return self.rendering.render(block.position, self.place, self.force, waves)
+
+    def _take_begun(self, end: int) -> None:
+        """Note the stimuli that begin before a position, which are played then."""
+        self.onsets += [one.outcome for one in self._queued if one.position < end]
+        self._queued = [one for one in self._queued if one.position >= end]
 
     def _take_scheduled(self, first: float, count: int) -> dict[int, list[Begin]]:
         """Return the stimuli that begin in a block, by client, whose voice there is then."""
@@ -426,6 +456,7 @@ class Mixer:
             self.dropped_waves += dropped + voice.effect.dropped
             voice.effect.dropped = 0
             reason = NO_TIME if dropped else FADING if self.rendering.fading else ""
+            reason = reason or ("" if touching else UNTOUCHED)
             own = [
                 (begin.offset, partial(self._begin, begin, start, reason))
                 for begin in begins.get(client, ())

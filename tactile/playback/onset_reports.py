@@ -6,17 +6,17 @@ known a little later, when the amplifier has reported.
 
 import bisect
 import math
-from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from tactile.bus.base import Bus
-from tactile.bus.marks import MarkReport
 from tactile.playback.commands import OnsetReport
 from tactile.playback.schedule import StimulusOutcome
 
 CONFIRMED = 0.3
 """Time after which an amplifier has reported what it did not put out: it is asked for STATUS every
 0.25 s [s]."""
+NOT_CONFIRMED = "the amplifier has not confirmed its marker"
+"""Reason of a stimulus whose marker was lost, or took the place of another one."""
 
 
 @dataclass
@@ -33,12 +33,15 @@ class _Awaited:
         Half of the interval around it that holds the true time [s].
     unplayed : int
         Number of samples that were not put out when it was written.
+    codes : set of int
+        Codes that the marker lines have taken with its first sample.
     """
 
     onset: StimulusOutcome
     due: float
     uncertainty: float
     unplayed: int
+    codes: set[int] = field(default_factory=set)
 
 
 class OnsetReports:
@@ -53,8 +56,6 @@ class OnsetReports:
     def __init__(self, bus: Bus) -> None:
         self._bus, self._awaited = bus, list[_Awaited]()
         self._reports: list[OnsetReport] = []
-        self._shown: deque[MarkReport] = deque()
-        """Marks of stimuli of which it is not known what became of them, and later ones."""
 
     @property
     def waiting(self) -> bool:
@@ -90,7 +91,7 @@ class OnsetReports:
         running : bool
             Whether the bus plays.
         """
-        self._shown += self._bus.take_marks()
+        self._take_marks()
         while self._awaited and self._awaited[0].due + CONFIRMED < now:
             self._confirm(self._awaited.pop(0), unplayed)
         if not running:
@@ -98,27 +99,42 @@ class OnsetReports:
             for one in self._awaited[first:]:
                 self._report(one.onset, math.nan, math.nan, "playback ended before it")
             del self._awaited[first:]
-        self._forget_marks()
 
-    def _forget_marks(self) -> None:
-        """Forget marks of stimuli on which nothing is to be reported any more."""
-        awaited = self._awaited[0].onset.position if self._awaited else None
-        while self._shown and (awaited is None or self._shown[0].position < awaited):
-            self._shown.popleft()
+    def settle(self, now: float, unplayed: int) -> None:
+        """Report on all stimuli, because positions are going to begin anew.
+
+        Parameters
+        ----------
+        now : float
+            Time in the host's clock [s].
+        unplayed : int
+            Number of samples that have not been put out so far.
+        """
+        self.look(now, unplayed, running=False)
+        for one in self._awaited:
+            self._confirm(one, unplayed)
+        self._awaited.clear()
+
+    def _take_marks(self) -> None:
+        """Take what the amplifier has reported of its marker lines; what is not awaited is past."""
+        for mark in self._bus.take_marks():
+            for one in self._awaited:
+                if one.onset.position == mark.position:
+                    one.codes.add(mark.code)
 
     def _confirm(self, one: _Awaited, unplayed: int) -> None:
         """Report the time of a stimulus, which samples that were not put out make less certain."""
-        lost, reason = max(unplayed - one.unplayed, 0), one.onset.reason
-        if lost:
-            reason = reason or f"{lost} samples around it were not put out"
-        marker = one.onset.marker
-        shown = [mark.code for mark in self._shown if mark.position == one.onset.position]
-        if marker and marker not in shown:
-            marker, reason = 0, reason or "the marker lines did not show its code"
+        lost, marker = max(unplayed - one.unplayed, 0), one.onset.marker
+        reasons = [one.onset.reason]
+        if lost and not one.onset.reason:
+            reasons.append(f"{lost} samples around it were not put out")
+        if marker and marker not in one.codes:
+            marker = 0
+            reasons.append(NOT_CONFIRMED)
         uncertainty = one.uncertainty + lost / self._bus.wiring.sample_rate
         # no clock while samples are lost: the amplifier could not be reached
         due = math.nan if lost and math.isnan(uncertainty) else one.due
-        self._report(one.onset, due, uncertainty, reason, marker)
+        self._report(one.onset, due, uncertainty, "; ".join(filter(None, reasons)), marker)
 
     def _report(
         self,

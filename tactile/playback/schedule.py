@@ -70,6 +70,50 @@ class Begin:
     late: float
 
 
+@dataclass(frozen=True)
+class QueuedStimulus:
+    """Stimulus whose first sample has a position, at which its contactors are free.
+
+    Attributes
+    ----------
+    order : PlayAt
+        The stimulus.
+    position : int
+        Position of its first sample in the drive [samples].
+    reason : str
+        Reason why it does not begin at its time; empty if it does.
+    """
+
+    order: PlayAt
+    position: int
+    reason: str
+
+    @property
+    def outcome(self) -> StimulusOutcome:
+        """What becomes of it if it is not dropped before."""
+        order = self.order
+        return StimulusOutcome(order.number, order.client, self.position, self.reason, order.marker)
+
+    def waits_for(self, contactors: tuple[int, ...]) -> bool:
+        """Return whether it is a waveform that plays on some of these contactors.
+
+        Parameters
+        ----------
+        contactors : tuple of int
+            Contactors; empty for all.
+
+        Returns
+        -------
+        bool
+            Whether one of them is its own; effects and frames wait for none.
+        """
+        order = self.order.order
+        if not isinstance(order, AppendSamples):
+            return False
+        own = order.contactors
+        return not own or not contactors or not set(own).isdisjoint(contactors)
+
+
 @dataclass
 class _Waiting:
     """Stimulus that waits for its time, with frames that continue it."""

@@ -248,6 +248,16 @@ static void take(uint8_t kind, const uint8_t *content)
     }
 }
 
+/* Reads the content of a record; a field that is not sent is 0. */
+static void take_content(uint8_t *content, size_t size)
+{
+    if (size > CONTENT_MOST) {
+        fail("a record that is too long");
+    }
+    memset(content, 0, CONTENT_MOST);
+    uart_read(BOARD, content, size);
+}
+
 int main(void)
 {
     uint8_t head[RECORD_HEAD];
@@ -259,17 +269,16 @@ int main(void)
         uint64_t until = tp_get_le(head, sizeof head, 0, 8);
         uint8_t kind = head[8];
         size_t size = (size_t)tp_get_le(head, sizeof head, 9, 4);
+        if (kind != KIND_SERIAL) {
+            take_content(content, size); /* before the answers that instants ask for on the same line */
+        }
         if (kind != KIND_POWER_UP) {
             run(until);
         }
         if (kind == KIND_SERIAL) {
             receive(size);
-        } else if (size <= sizeof content) {
-            memset(content, 0, sizeof content); /* a field that is not sent is 0 */
-            uart_read(BOARD, content, size);
-            take(kind, content);
         } else {
-            fail("a record that is too long");
+            take(kind, content);
         }
         report(KIND_DONE, NULL, 0);
     }

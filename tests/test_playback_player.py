@@ -20,8 +20,8 @@ from tactile.devices import open_bus
 from tactile.display.display import Display
 from tactile.playback.block_rendering import SamplePlayback
 from tactile.playback.loop import PlaybackLoop
+from tactile.playback.sample_ring import LENGTH
 from tactile.playback.shared_memory import PlaybackMemory
-from tactile.playback.shear_ring import LENGTH
 from tactile.playback.voice import Begins, Voice
 from tactile.playback.waves import Curve
 from tactile.rendering.contact import Trajectory

@@ -12,11 +12,12 @@ import math
 from collections.abc import Callable
 
 from tactile.arrays import Floats
-from tactile.bus.base import Bus, BusStatus, DriveBlock
+from tactile.bus.base import Bus, BusStatus, DriveBlock, DriveFrame
 from tactile.clock import MONOTONIC, Clock
 from tactile.display.display import Display
 from tactile.errors import BusStateError
 from tactile.playback.block_rendering import FramePlayback, SamplePlayback
+from tactile.playback.block_ring import BlockRecord
 from tactile.playback.commands import OnsetReport
 from tactile.playback.finger_following import FingerFollowing
 from tactile.playback.mixer import BlockInput, Mixer, MixerOrder
@@ -231,6 +232,7 @@ class PlaybackLoop(Mixer):
         finally:  # what was not played either, since the next block continues it
             if self._session is not None:
                 self._session.add_block(block, drive)
+        self._share(block, drive)
         self._report_block(block)
 
     def report_onsets(self) -> list[OnsetReport]:
@@ -282,13 +284,28 @@ class PlaybackLoop(Mixer):
         """Return the contacts that arrived since the last block."""
         return tuple(self.memory.contacts())
 
+    def _share(self, block: BlockInput, drive: DriveBlock | DriveFrame) -> None:
+        """Add a block that was handed to the bus to the rings from which the server reads it."""
+        memory, rendering = self.memory, self.rendering
+        first = memory.blocks.count * rendering.spacing
+        if isinstance(rendering, SamplePlayback) and isinstance(drive, DriveBlock):
+            first = memory.commanded.count
+            memory.commanded.add(rendering.trace)
+            memory.driven.add(drive.volts[:, self.display.channel], first)
+        if self._played is not None:
+            memory.played.add(self._played())
+        due, uncertainty = self.bus.due(block.position), self.bus.due_uncertainty(block.position)
+        (x, y), (vx, vy) = self.place[-1].tolist(), self.tracker.velocity.tolist()
+        memory.blocks.add(
+            BlockRecord(
+                first, due, uncertainty, float(rendering.times(block.due)[-1]), (x, y), (vx, vy),
+                float(self.force[-1]), self.tracker.touching,
+            )
+        )  # fmt: skip
+
     def _report_block(self, block: BlockInput) -> None:
         """Update the report after a block was played, and write it now and then."""
         report = self.report
-        if isinstance(self.rendering, SamplePlayback):
-            self.memory.commanded.add(self.rendering.trace)
-        if self._played is not None:
-            self.memory.played.add(self._played())
         # A contact waits for half a block on average before it is taken.
         wait = self.rendering.spacing / (2 * self._rate)
         latency = self.bus.due(block.position + self.rendering.first) - block.now + wait

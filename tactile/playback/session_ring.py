@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tactile.bus.base import DriveBlock, DriveFrame
 from tactile.playback.mixer import BlockInput
+from tactile.playback.sample_ring import NUMBER
 from tactile.playback.shared_memory import SharedFile
-from tactile.playback.shear_ring import NUMBER
 
 RECORDS = 1 << 15
 """Length of the ring [records]: 40 s of 500 blocks and 250 contacts a second."""

@@ -2,8 +2,8 @@
 
 Neither side ever waits for the other. Contacts are a ring of entries, each with a number that is
 odd while the entry is written (a sequence lock), so that a reader takes only complete entries and
-knows how many it missed. The report is a single such entry, the latest. The shear is in two rings
-(`ShearRing`).
+knows how many it missed. The report is a single such entry, the latest. Shear and drive are in
+rings of their own (`SampleRing`), as are the blocks in which they were played (`BlockRing`).
 
 On Linux the memory is a memfd that the child inherits, which leaves nothing behind; elsewhere it is
 a file in the folder for temporary files, which the server removes. A kill at any instant leaves at
@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.bus.base import BusCounters
+from tactile.playback.block_ring import BLOCKS, ROW, BlockRing
 from tactile.playback.followed_finger import FollowedFinger
-from tactile.playback.shear_ring import LENGTH, NUMBER, ShearRing
+from tactile.playback.sample_ring import LENGTH, NUMBER, SampleRing
 from tactile.tracking.finger_sample import FingerSample, rounded
 
 CONTACTS = 256
@@ -94,18 +95,22 @@ CONTACT_SPACE = 128
 """Distance between two entries of the ring of contacts [bytes]."""
 REPORT = struct.Struct(f"<Qd5BQ8d{len(COUNTERS)}Q{DETAIL}s")
 """Format of the report."""
-AT_HEAD, AT_REPORTED, AT_BEATS, AT_COMMANDED, AT_PLAYED = 0, 8, 16, 24, 32
+AT_HEAD, AT_REPORTED, AT_BEATS, AT_COMMANDED, AT_PLAYED, AT_DRIVE, AT_BLOCK_COUNT = range(0, 56, 8)
 """Offsets of the number of contacts that were written, the number of the report, the number of
-heartbeats of the server, and the numbers of samples of commanded and played shear [bytes]."""
+heartbeats of the server, and the numbers of samples of commanded shear, played shear and drive, and
+of blocks [bytes]."""
 AT_CONTACTS = 64
 """Offset of the ring of contacts [bytes]."""
 AT_REPORT = AT_CONTACTS + CONTACT_SPACE * CONTACTS
 """Offset of the report [bytes]."""
-AT_ARRAYS = AT_REPORT + 1024
-"""Offset of the arrays of shear and drive, of those of the finger, and of both rings [bytes]."""
+AT_BLOCKS = AT_REPORT + 1024
+"""Offset of the ring of blocks [bytes]."""
+AT_ARRAYS = AT_BLOCKS + BLOCKS * ROW.itemsize
+"""Offset of the arrays of shear and drive, of those of the finger, and of the rings of samples
+[bytes]."""
 FOLLOWED = 5
 """Number of values that are told of each contactor's load, the attributes of `FollowedFinger`."""
-ROWS = 2 + FOLLOWED + 2 * LENGTH
+ROWS = 2 + FOLLOWED + 3 * LENGTH
 """Number of values of each contactor."""
 State = Literal["disarmed", "armed", "estopped"]
 """State of playback."""
@@ -256,10 +261,14 @@ class PlaybackMemory(SharedFile):
         Last commanded shear [m].
     drive : (N,) array of float32
         Last drive [V].
-    commanded : ShearRing
+    commanded : SampleRing
         Commanded shear, sample by sample.
-    played : ShearRing
+    played : SampleRing
         Shear of the skin, which only a simulated display knows.
+    driven : SampleRing
+        Drive that commands the shear, sample by sample.
+    blocks : BlockRing
+        Blocks to which the samples of ``commanded`` and ``driven`` belong.
     lost_contacts : int
         Number of contacts that were overwritten before they were read.
     """
@@ -271,8 +280,11 @@ class PlaybackMemory(SharedFile):
         self.shear: NDArray[np.float32] = arrays[0]
         self.drive: NDArray[np.float32] = arrays[1]
         self._finger: NDArray[np.float32] = arrays[2 : 2 + FOLLOWED]
-        self.commanded = ShearRing(self._map, AT_COMMANDED, arrays[-2 * LENGTH : -LENGTH])
-        self.played = ShearRing(self._map, AT_PLAYED, arrays[-LENGTH:])
+        rings = arrays[2 + FOLLOWED :].reshape(3, LENGTH, contactors)
+        self.commanded = SampleRing(self._map, AT_COMMANDED, rings[0])
+        self.played = SampleRing(self._map, AT_PLAYED, rings[1])
+        self.driven = SampleRing(self._map, AT_DRIVE, rings[2])
+        self.blocks = BlockRing(self._map, AT_BLOCK_COUNT, AT_BLOCKS)
         self._read = self._written = self._reported = 0
         self.lost_contacts = 0
 
@@ -297,8 +309,8 @@ class PlaybackMemory(SharedFile):
     def close(self) -> None:
         """Release the memory, as `SharedFile.close` does."""
         self.shear = self.drive = self._finger = np.zeros(0, np.float32)
-        self.commanded.close()
-        self.played.close()
+        for ring in (self.commanded, self.played, self.driven, self.blocks):
+            ring.close()
         super().close()
 
     # Signs of life

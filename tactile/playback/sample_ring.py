@@ -1,4 +1,4 @@
-"""Ring of the shear of all contactors in memory that two processes share.
+"""Ring of samples of all contactors in memory that two processes share.
 
 The writer never waits. Readers take the newer half only, as the rest may be overwritten meanwhile.
 """
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from tactile.arrays import Floats, Singles
 
-LENGTH = 4096
-"""Length of a ring: half a second at 8 kHz [samples]."""
+LENGTH = 1 << 14
+"""Length of a ring: 2 s at 8 kHz, 0.3 s at 48 kHz [samples]."""
 NUMBER = struct.Struct("<Q")
 """Format of a count in shared memory."""
 
 
-class ShearRing:
-    """Newest samples of the shear of all contactors.
+class SampleRing:
+    """Newest samples of the shear or the drive of all contactors.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class ShearRing:
     offset : int
         Offset of the number of samples in the memory [bytes].
     rows : (LENGTH, N) array of float32
-        Samples, in the same memory [m].
+        Samples, in the same memory [m or V].
     """
 
     def __init__(self, memory: mmap.mmap, offset: int, rows: Singles) -> None:
@@ -38,24 +38,27 @@ class ShearRing:
         """Number of samples that were added."""
         return int(NUMBER.unpack_from(self._memory, self._offset)[0])
 
-    def add(self, shear: Floats) -> None:
+    def add(self, samples: Floats, first: int | None = None) -> None:
         """Add samples.
 
         Parameters
         ----------
-        shear : (S, N) array of float
-            Shear [m]; of more than `LENGTH` samples only the last ones are kept.
+        samples : (S, N) array of float
+            Samples [m or V]; of more than `LENGTH` only the last ones are kept.
+        first : int, optional
+            Number of the first sample, by default that after the last one. A ring that is written
+            together with another one takes its numbers, as a kill between both lets them differ.
         """
-        count = self.count
-        newest = shear[-LENGTH:]
-        begin = (count + len(shear) - len(newest)) % LENGTH
+        count = self.count if first is None else first
+        newest = samples[-LENGTH:]
+        begin = (count + len(samples) - len(newest)) % LENGTH
         before_end = newest[: LENGTH - begin]
         self._rows[begin : begin + len(before_end)] = before_end
         self._rows[: len(newest) - len(before_end)] = newest[len(before_end) :]
-        NUMBER.pack_into(self._memory, self._offset, count + len(shear))
+        NUMBER.pack_into(self._memory, self._offset, count + len(samples))
 
     def since(self, contactor: int, first: int) -> tuple[int, NDArray[np.float32]]:
-        """Return the shear of a contactor since a sample.
+        """Return the samples of a contactor since one of them.
 
         Parameters
         ----------
@@ -69,12 +72,27 @@ class ShearRing:
         first : int
             Number of the first sample that is returned, later if there are too many, and earlier if
             the ring began anew.
-        shear : (S,) array of float32
-            Shear [m].
+        samples : (S,) array of float32
+            Samples [m or V].
         """
         count = self.count
         first = max(min(first, count), count - LENGTH // 2)
         return first, self._rows[np.arange(first, count) % LENGTH, contactor]
+
+    def between(self, first: int, end: int) -> NDArray[np.float32]:
+        """Return samples of all contactors, of which the newest half may be read.
+
+        Parameters
+        ----------
+        first, end : int
+            Number of the first sample, and of that after the last.
+
+        Returns
+        -------
+        (S, N) array of float32
+            Copy of the samples [m or V].
+        """
+        return self._rows[np.arange(first, end) % LENGTH]
 
     def close(self) -> None:
         """Release the memory."""

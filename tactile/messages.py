@@ -626,10 +626,15 @@ class Subscribe(DisplayRequest, frozen=True, kw_only=True, tag="subscribe"):
         Messages per second [Hz]; 0 ends the subscription.
     contactor : int or null
         Contactor whose commanded shear the messages hold sample by sample; null for none.
+    samples : bool
+        Whether the messages hold `TelemetrySamples` of all contactors; more messages come than
+        ``rate_hz`` says if these do not fit. The client then also gets an `OnsetMessage` for what
+        other clients play at a time.
     """
 
     rate_hz: Annotated[float, Meta(ge=0, le=100)]
     contactor: Annotated[int, Meta(ge=0, le=4095)] | None = None
+    samples: bool = False
 
 
 class GetStats(DisplayRequest, frozen=True, kw_only=True, tag="get_stats"):
@@ -973,6 +978,8 @@ class OnsetMessage(ApiMessage, frozen=True, kw_only=True, tag="onset"):
         Name of the display.
     number : int
         Number that the client gave it in `BeginAt`.
+    client : int or null
+        Number of the client that plays it; null if it is the client that gets this message.
     at_us : int
         Time at which it was to begin, as in `BeginAt` [µs].
     onset_us : float or null
@@ -996,6 +1003,7 @@ class OnsetMessage(ApiMessage, frozen=True, kw_only=True, tag="onset"):
     uncertainty_us: float | None
     reason: str = ""
     marker: int = 0
+    client: int | None = None
 
 
 class TelemetryFinger(Struct, frozen=True, kw_only=True):
@@ -1048,6 +1056,59 @@ class TelemetryTrace(Struct, frozen=True, kw_only=True):
     shear_um: bytes
 
 
+class TelemetrySamples(Struct, frozen=True, kw_only=True):
+    """What playback has handed to the amplifier since the message before, sample by sample.
+
+    Binary fields are little-endian, and binary fields of MessagePack (base64 strings in JSON). Rows
+    of samples hold a value for each contactor. All is as commanded: after an e-stop, the amplifier
+    turns to 0 V by itself.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first sample. It continues the message before unless samples are missing, and
+        begins anew when the server opens the display anew.
+    sample_rate_hz : float
+        Nominal rate of the samples [Hz].
+    block_samples : int
+        Number of samples of a block.
+    times_us : bytes
+        Time of the server's monotonic clock at which the first sample of each block is put out, by
+        the clock of the amplifier, as float64 [µs]. Blocks are handed over before that.
+    uncertainty_us : float or null
+        Half of the largest interval around these times that holds the true one; null if it is not
+        known, as on a sound card [µs].
+    finger_times_us : bytes
+        Time of the server's monotonic clock for which each block has the finger, as float64 [µs].
+    position_mm : bytes
+        Position of the finger in each block, as pairs of float32 [mm].
+    velocity_mm_s : bytes
+        Velocity of the finger in each block, as pairs of float32 [mm/s].
+    normal_force_n : bytes
+        Normal force of the finger in each block, as float32 [N].
+    touching : list of bool
+        Whether the finger touches the surface in each block.
+    shear_um : bytes or null
+        Rows of commanded shear as float32, in step with the drive [µm]; null on a link that takes
+        spectrum frames.
+    drive_v : bytes or null
+        Rows of drive as float32 [V]; null on a link that takes spectrum frames.
+    """
+
+    first: int
+    sample_rate_hz: float
+    block_samples: int
+    times_us: bytes
+    uncertainty_us: float | None
+    finger_times_us: bytes
+    position_mm: bytes
+    velocity_mm_s: bytes
+    normal_force_n: bytes
+    touching: tuple[bool, ...]
+    shear_um: bytes | None
+    drive_v: bytes | None
+
+
 class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     """State of a display at one instant, sent at the rate that `Subscribe` asked for.
 
@@ -1082,6 +1143,8 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     played : TelemetryTrace or null
         Shear of the skin at that contactor on a simulated display, which alone knows it. Its
         samples are later than those of ``trace``, and have numbers of their own.
+    samples : TelemetrySamples or null
+        What was handed to the amplifier since the message before, if `Subscribe` asked for it.
     """
 
     display: str
@@ -1097,6 +1160,7 @@ class TelemetryMessage(ApiMessage, frozen=True, kw_only=True, tag="telemetry"):
     finger: TelemetryFinger | None = None
     trace: TelemetryTrace | None = None
     played: TelemetryTrace | None = None
+    samples: TelemetrySamples | None = None
 
 
 Streamed = Contact | TactileFrames

@@ -26,6 +26,7 @@ from tactile.playback.shared_memory import PlaybackMemory
 from tactile.rendering.surface_picture import SurfaceSection, draw_surface
 from tactile.server import client as client_module
 from tactile.server import playing as playing_module
+from tactile.server import telemetry as telemetry_module
 from tactile.server.client import Client
 from tactile.server.config import Configuration, DisplayConfig, ServerConfig
 from tactile.server.effects import load_effects
@@ -654,15 +655,15 @@ def test_what_is_not_known_is_null_and_not_0(
     playing = host.playing[NAME]
     with monkeypatch.context() as patch:
         patch.setattr(playing, "memory", PlaybackMemory.create(24))  # no report has come
-        assert client_module.snapshot(playing).shear_um == (0.0,) * 24
+        assert telemetry_module.snapshot(playing).shear_um == (0.0,) * 24
         assert program.stats().lead_ms == 0.0  # of a simulated display
         patch.setattr(playing, "how", replace(playing.how, ahead=0.0125))
         assert program.stats().lead_ms == 12.5
         patch.setattr(playing, "how", DeviceOpened(why_not="unplugged"))
         assert program.stats().lead_ms is None
         patch.setattr(playing, "how", replace(playing.how, carriers=8))
-        assert client_module.snapshot(playing).shear_um is None
-        assert client_module.snapshot(playing).put_out_share is None
+        assert telemetry_module.snapshot(playing).shear_um is None
+        assert telemetry_module.snapshot(playing).put_out_share is None
         assert program.stats().put_out_share is None
         playing.memory.close()
     program.ask(m.ArmDisplay(display=NAME))

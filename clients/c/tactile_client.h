@@ -710,6 +710,12 @@ typedef struct {
   /** Contactor whose commanded shear the messages hold sample by sample; null for none. */
   bool has_contactor;
   int64_t contactor;
+  /**
+   * Whether the messages hold `TelemetrySamples` of all contactors; more messages come than
+   * `rate_hz` says if these do not fit. The client then also gets an `OnsetMessage` for what
+   * other clients play at a time.
+   */
+  bool samples;
 } tactile_subscribe;
 
 /** Ask for the state of a display; answered by `StatsReply`. */
@@ -1051,6 +1057,9 @@ typedef struct {
    * confirmed that; 0 for none.
    */
   int64_t marker;
+  /** Number of the client that plays it; null if it is the client that gets this message. */
+  bool has_client;
+  int64_t client;
 } tactile_onset;
 
 /** List of `bool`. */
@@ -1102,6 +1111,55 @@ typedef struct {
   tactile_bytes shear_um;
 } tactile_telemetry_trace;
 
+/**
+ * What playback has handed to the amplifier since the message before, sample by sample.
+ *
+ * Binary fields are little-endian, and binary fields of MessagePack (base64 strings in JSON). Rows
+ * of samples hold a value for each contactor. All is as commanded: after an e-stop, the amplifier
+ * turns to 0 V by itself.
+ */
+typedef struct {
+  /**
+   * Number of the first sample. It continues the message before unless samples are missing, and
+   * begins anew when the server opens the display anew.
+   */
+  int64_t first;
+  /** Nominal rate of the samples [Hz]. */
+  double sample_rate_hz;
+  /** Number of samples of a block. */
+  int64_t block_samples;
+  /**
+   * Time of the server's monotonic clock at which the first sample of each block is put out, by
+   * the clock of the amplifier, as float64 [µs]. Blocks are handed over before that.
+   */
+  tactile_bytes times_us;
+  /**
+   * Half of the largest interval around these times that holds the true one; null if it is not
+   * known, as on a sound card [µs].
+   */
+  bool has_uncertainty_us;
+  double uncertainty_us;
+  /** Time of the server's monotonic clock for which each block has the finger, as float64 [µs]. */
+  tactile_bytes finger_times_us;
+  /** Position of the finger in each block, as pairs of float32 [mm]. */
+  tactile_bytes position_mm;
+  /** Velocity of the finger in each block, as pairs of float32 [mm/s]. */
+  tactile_bytes velocity_mm_s;
+  /** Normal force of the finger in each block, as float32 [N]. */
+  tactile_bytes normal_force_n;
+  /** Whether the finger touches the surface in each block. */
+  tactile_boolean_list touching;
+  /**
+   * Rows of commanded shear as float32, in step with the drive [µm]; null on a link that takes
+   * spectrum frames.
+   */
+  bool has_shear_um;
+  tactile_bytes shear_um;
+  /** Rows of drive as float32 [V]; null on a link that takes spectrum frames. */
+  bool has_drive_v;
+  tactile_bytes drive_v;
+} tactile_telemetry_samples;
+
 /** State of a display at one instant, sent at the rate that `Subscribe` asked for. */
 typedef struct {
   /** Name of the display. */
@@ -1144,6 +1202,9 @@ typedef struct {
    */
   bool has_played;
   tactile_telemetry_trace played;
+  /** What was handed to the amplifier since the message before, if `Subscribe` asked for it. */
+  bool has_samples;
+  tactile_telemetry_samples samples;
 } tactile_telemetry;
 
 /** Any message of the server: the member of `as` that `type` names. */
@@ -1515,9 +1576,10 @@ static const tactile_field tactile_fields_subscribe[] = {
     TACTILE_FIELD(subscribe, display, text, TACTILE_REQUIRED),
     TACTILE_FIELD(subscribe, rate_hz, number, TACTILE_REQUIRED),
     TACTILE_FLAGGED(subscribe, contactor, integer, TACTILE_OPTIONAL, 0.0),
+    TACTILE_FIELD(subscribe, samples, boolean, TACTILE_OPTIONAL),
 };
 static const tactile_shape tactile_shape_subscribe = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_subscribe), 4,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_subscribe), 5,
     NULL, tactile_tag_subscribe, tactile_fields_subscribe};
 
 static const char *const tactile_tag_get_stats[] = {"get_stats"};
@@ -1748,9 +1810,10 @@ static const tactile_field tactile_fields_onset[] = {
     TACTILE_FLAGGED(onset, uncertainty_us, number, TACTILE_REQUIRED, 0.0),
     TACTILE_FIELD(onset, reason, text, TACTILE_OPTIONAL),
     TACTILE_FIELD(onset, marker, integer, TACTILE_OPTIONAL),
+    TACTILE_FLAGGED(onset, client, integer, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_onset = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_onset), 7,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_onset), 8,
     NULL, tactile_tag_onset, tactile_fields_onset};
 
 static const tactile_shape tactile_shape_boolean_list = {
@@ -1778,6 +1841,24 @@ static const tactile_shape tactile_shape_telemetry_trace = {
     TACTILE_FORM_STRUCTURE, sizeof(tactile_telemetry_trace), 4,
     NULL, NULL, tactile_fields_telemetry_trace};
 
+static const tactile_field tactile_fields_telemetry_samples[] = {
+    TACTILE_FIELD(telemetry_samples, first, integer, TACTILE_REQUIRED),
+    TACTILE_FIELD(telemetry_samples, sample_rate_hz, number, TACTILE_REQUIRED),
+    TACTILE_FIELD(telemetry_samples, block_samples, integer, TACTILE_REQUIRED),
+    TACTILE_FIELD(telemetry_samples, times_us, bytes, TACTILE_REQUIRED),
+    TACTILE_FLAGGED(telemetry_samples, uncertainty_us, number, TACTILE_REQUIRED, 0.0),
+    TACTILE_FIELD(telemetry_samples, finger_times_us, bytes, TACTILE_REQUIRED),
+    TACTILE_FIELD(telemetry_samples, position_mm, bytes, TACTILE_REQUIRED),
+    TACTILE_FIELD(telemetry_samples, velocity_mm_s, bytes, TACTILE_REQUIRED),
+    TACTILE_FIELD(telemetry_samples, normal_force_n, bytes, TACTILE_REQUIRED),
+    TACTILE_FIELD(telemetry_samples, touching, boolean_list, TACTILE_REQUIRED),
+    TACTILE_FLAGGED(telemetry_samples, shear_um, bytes, TACTILE_REQUIRED, 0.0),
+    TACTILE_FLAGGED(telemetry_samples, drive_v, bytes, TACTILE_REQUIRED, 0.0),
+};
+static const tactile_shape tactile_shape_telemetry_samples = {
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_telemetry_samples), 12,
+    NULL, NULL, tactile_fields_telemetry_samples};
+
 static const char *const tactile_tag_telemetry[] = {"telemetry"};
 static const tactile_field tactile_fields_telemetry[] = {
     TACTILE_FIELD(telemetry, display, text, TACTILE_REQUIRED),
@@ -1793,9 +1874,10 @@ static const tactile_field tactile_fields_telemetry[] = {
     TACTILE_FLAGGED(telemetry, finger, telemetry_finger, TACTILE_OPTIONAL, 0.0),
     TACTILE_FLAGGED(telemetry, trace, telemetry_trace, TACTILE_OPTIONAL, 0.0),
     TACTILE_FLAGGED(telemetry, played, telemetry_trace, TACTILE_OPTIONAL, 0.0),
+    TACTILE_FLAGGED(telemetry, samples, telemetry_samples, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_telemetry = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_telemetry), 13,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_telemetry), 14,
     NULL, tactile_tag_telemetry, tactile_fields_telemetry};
 
 #undef TACTILE_FIELD

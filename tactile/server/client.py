@@ -29,10 +29,8 @@ from tactile.messages import (
 )
 from tactile.playback import commands
 from tactile.playback.ending import ENDING
-from tactile.playback.followed_finger import FollowedFinger
 from tactile.playback.frame_stream import FADE, HOLD
 from tactile.playback.schedule import MOST_SCHEDULED
-from tactile.playback.shear_ring import ShearRing
 from tactile.playback.waveforms import LONGEST
 from tactile.playback.waves import Curve
 from tactile.rendering.surface_picture import SurfaceSection
@@ -40,6 +38,7 @@ from tactile.server.decoding import failed, hint
 from tactile.server.effects import LONGEST_EFFECT, SAMPLE_RATE
 from tactile.server.playing import Playing
 from tactile.server.tasks import start_task
+from tactile.server.telemetry import SamplesReader, ShearReader, known, snapshot
 from tactile.server.texture_store import TooManyPreparationsError
 from tactile.tracking.clock_map import ClockMap
 from tactile.tracking.finger_sample import FingerSample
@@ -49,6 +48,9 @@ if TYPE_CHECKING:
 
 OUTBOX = 64
 """Number of messages that wait for a client from which on telemetry is dropped."""
+MOST_AT_ONCE = 8
+"""Maximum number of messages of telemetry that follow one another at once, since the samples of all
+contactors do not fit into one."""
 Posted = EventMessage | m.OnsetMessage | TelemetryMessage
 """Message that a client gets without a request."""
 SILENT = "the program gave no sign of life; its waveforms and effects were faded"
@@ -98,7 +100,8 @@ class Client:
         self.outbox: asyncio.Queue[Posted] = asyncio.Queue(OUTBOX + MOST_SCHEDULED)
         self._clocks: dict[str, ClockMap] = {}
         self._telemetry: dict[str, asyncio.Task[None]] = {}
-        self._traced: dict[str, tuple[int | None, tuple[_Tracer, _Tracer]]] = {}
+        self._traced: dict[str, tuple[int | None, tuple[ShearReader, ShearReader]]] = {}
+        self._sampled: dict[str, SamplesReader] = {}
 
     def post(self, what: Posted) -> None:
         """Put a message in the outbox, in place of the oldest telemetry if that is too much.
@@ -134,6 +137,21 @@ class Client:
             Whether it has subscribed.
         """
         return display in self._telemetry
+
+    def observes(self, display: str) -> bool:
+        """Return whether the client gets all that is played on a display.
+
+        Parameters
+        ----------
+        display : str
+            Name of the display.
+
+        Returns
+        -------
+        bool
+            Whether it has subscribed to telemetry with samples.
+        """
+        return display in self._telemetry and display in self._sampled
 
     @property
     def sounds(self) -> bool:
@@ -496,32 +514,41 @@ class Client:
         if before is not None:
             before.cancel()
         else:
-            self._traced.pop(name, None)  # what was played since an earlier one has ended is old
+            for readers in (self._traced, self._sampled):
+                readers.pop(name, None)  # what was played since an earlier one has ended is old
+        if not command.samples:
+            self._sampled.pop(name, None)
+        elif name not in self._sampled:
+            self._sampled[name] = SamplesReader(playing.memory)
         if command.rate_hz > 0:
             sending = self._send_telemetry(name, 1 / command.rate_hz, command.contactor)
             self._telemetry[name] = start_task(sending)
         return m.Done()
 
-    def _tracers(self, name: str, contactor: int | None) -> tuple["_Tracer", "_Tracer"]:
+    def _shear_readers(self, name: str, contactor: int | None) -> tuple[ShearReader, ShearReader]:
         """Return what reads the shears of a contactor; a new rate of telemetry makes no gap."""
-        before, tracers = self._traced.get(name, (None, (_Tracer(), _Tracer())))
+        before, readers = self._traced.get(name, (None, (ShearReader(), ShearReader())))
         if before != contactor:
-            tracers = _Tracer(), _Tracer()
-        self._traced[name] = contactor, tracers
-        return tracers
+            readers = ShearReader(), ShearReader()
+        self._traced[name] = contactor, readers
+        return readers
 
     async def _send_telemetry(self, name: str, interval: float, contactor: int | None) -> None:
-        commanded, played = self._tracers(name, contactor)
+        commanded, played = self._shear_readers(name, contactor)
+        sampled, at_once = self._sampled.get(name), 0
         while (playing := self._host.playing.get(name)) is not None:
-            traces: tuple[m.TelemetryTrace | None, ...] = None, None
+            trace = shear = None
             if contactor is not None and not playing.how.carriers:
                 rate, memory = playing.how.sample_rate, playing.memory
-                traces = (
-                    commanded.trace(memory.commanded, contactor, rate),
-                    played.trace(memory.played, contactor, rate) if memory.played.count else None,
-                )
-            self.post(snapshot(playing, *traces))
-            await asyncio.sleep(interval)
+                trace = commanded.read(memory.commanded, contactor, rate)
+                if memory.played.count:
+                    shear = played.read(memory.played, contactor, rate)
+            samples = None if sampled is None else sampled.read(playing.memory, playing.how)
+            self.post(snapshot(playing, trace, shear, samples))
+            at_once += 1
+            more = sampled is not None and sampled.is_behind and at_once < MOST_AT_ONCE
+            at_once = at_once if more else 0
+            await asyncio.sleep(0.0 if more else interval)
 
     async def _stats(self, playing: Playing, command: m.GetStats) -> Answer:
         r, latch = playing.report, playing.latch
@@ -532,10 +559,10 @@ class Client:
             detail=playing.failure or (latch.reason if latch.holds else r.detail),
             touching=r.touching,
             owner=playing.finger.client == self.number,
-            latency_ms=_known(1e3 * r.latency),
+            latency_ms=known(1e3 * r.latency),
             counters=playing.counters,
             estop=latch.holds,
-            put_out_share=_known(r.put_out_share),
+            put_out_share=known(r.put_out_share),
             lead_ms=1e3 * playing.how.ahead if playing.how.sample_rate else None,
         )
 
@@ -576,71 +603,3 @@ def _unit_values(
     if not (np.abs(numbers) <= 1).all():
         return failed("invalid_field", "must be −1 … 1 throughout", field=field)
     return numbers
-
-
-def _known(value: float) -> float | None:
-    """Return a value, or None for NaN, which JSON does not have."""
-    return None if math.isnan(value) else value
-
-
-class _Tracer:
-    """Reader of a ring of shear, which takes what came since it read last."""
-
-    _next: int | None = None
-
-    def trace(self, ring: ShearRing, contactor: int, sample_rate: float) -> m.TelemetryTrace:
-        """Return the new samples of a contactor, none at first."""
-        first, shear = ring.since(contactor, ring.count if self._next is None else self._next)
-        self._next = first + len(shear)
-        samples = (shear * 1e6).astype("<f4").tobytes()
-        return m.TelemetryTrace(
-            contactor=contactor, sample_rate_hz=sample_rate, first=first, shear_um=samples
-        )
-
-
-def snapshot(
-    playing: Playing,
-    trace: m.TelemetryTrace | None = None,
-    played: m.TelemetryTrace | None = None,
-) -> TelemetryMessage:
-    """Return the present state of a display.
-
-    Parameters
-    ----------
-    playing : Playing
-        The display.
-    trace, played : TelemetryTrace, optional
-        Commanded shear of one contactor, and that of the skin, to send along.
-
-    Returns
-    -------
-    TelemetryMessage
-        State in the units of the API.
-    """
-    r = playing.report
-    return TelemetryMessage(
-        display=playing.config.name,
-        time_us=round(r.time * 1e6),
-        state=playing.state,
-        position_mm=(r.position[0] * 1e3, r.position[1] * 1e3),
-        velocity_mm_s=(r.velocity[0] * 1e3, r.velocity[1] * 1e3),
-        normal_force_n=r.normal_force,
-        shear_um=None if playing.how.carriers else tuple((playing.memory.shear * 1e6).tolist()),
-        drive_v=tuple(playing.memory.drive.tolist()),
-        counters=playing.counters,
-        put_out_share=_known(r.put_out_share),
-        finger=None if r.finger is None else _told(r.finger),
-        trace=trace,
-        played=played,
-    )
-
-
-def _told(finger: FollowedFinger) -> m.TelemetryFinger:
-    """Return the loads of a finger in the units of the API."""
-    return m.TelemetryFinger(
-        touching=tuple(finger.touching.tolist()),
-        stiffness_n_m=tuple(finger.stiffness.tolist()),
-        equalizer_error_db=tuple(finger.deviation.tolist()),
-        explained=tuple(finger.explained.tolist()),
-        guarded=tuple(finger.guarded.tolist()),
-    )

@@ -11,6 +11,8 @@ import logging
 from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
 
+from msgspec import structs
+
 from tactile import messages as m
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import BusError, InputError
@@ -357,11 +359,15 @@ class Host:
                 self.run(playing.disarm)
 
     def _post(self, message: EventMessage | m.OnsetMessage, client: int | None) -> None:
-        """Post a message to a client, or an event to all."""
+        """Post a message to a client, or an event to all; onsets also to those that observe."""
         if isinstance(message, EventMessage):
             self._broadcast(message)
-        elif client in self._clients:
+            return
+        if client in self._clients:
             self._clients[client].post(message)
+        for number, observer in self._clients.items():
+            if number != client and observer.observes(message.display):
+                observer.post(structs.replace(message, client=client))
 
     def _broadcast(self, event: EventMessage) -> None:
         """Post an event to all clients; touches only to those with telemetry of the display."""

@@ -499,6 +499,13 @@ export interface Subscribe {
   rate_hz: number;
   /** Contactor whose commanded shear the messages hold sample by sample; null for none. */
   contactor?: number | null;
+  /**
+   * Whether the messages hold `TelemetrySamples` of all contactors; more messages come than
+   * `rate_hz` says if these do not fit. The client then also gets an `OnsetMessage` for what
+   * other clients play at a time.
+   * @default false
+   */
+  samples?: boolean;
 }
 
 /** Ask for the state of a display; answered by `StatsReply`. */
@@ -829,6 +836,8 @@ export interface OnsetMessage {
    * @default 0
    */
   marker?: number;
+  /** Number of the client that plays it; null if it is the client that gets this message. */
+  client?: number | null;
 }
 
 /** Loads of a finger on the contactors, as playback finds them from their currents. */
@@ -874,6 +883,52 @@ export interface TelemetryTrace {
   shear_um: Uint8Array;
 }
 
+/**
+ * What playback has handed to the amplifier since the message before, sample by sample.
+ *
+ * Binary fields are little-endian, and binary fields of MessagePack (base64 strings in JSON). Rows
+ * of samples hold a value for each contactor. All is as commanded: after an e-stop, the amplifier
+ * turns to 0 V by itself.
+ */
+export interface TelemetrySamples {
+  /**
+   * Number of the first sample. It continues the message before unless samples are missing, and
+   * begins anew when the server opens the display anew.
+   */
+  first: number;
+  /** Nominal rate of the samples [Hz]. */
+  sample_rate_hz: number;
+  /** Number of samples of a block. */
+  block_samples: number;
+  /**
+   * Time of the server's monotonic clock at which the first sample of each block is put out, by
+   * the clock of the amplifier, as float64 [µs]. Blocks are handed over before that.
+   */
+  times_us: Uint8Array;
+  /**
+   * Half of the largest interval around these times that holds the true one; null if it is not
+   * known, as on a sound card [µs].
+   */
+  uncertainty_us: number | null;
+  /** Time of the server's monotonic clock for which each block has the finger, as float64 [µs]. */
+  finger_times_us: Uint8Array;
+  /** Position of the finger in each block, as pairs of float32 [mm]. */
+  position_mm: Uint8Array;
+  /** Velocity of the finger in each block, as pairs of float32 [mm/s]. */
+  velocity_mm_s: Uint8Array;
+  /** Normal force of the finger in each block, as float32 [N]. */
+  normal_force_n: Uint8Array;
+  /** Whether the finger touches the surface in each block. */
+  touching: boolean[];
+  /**
+   * Rows of commanded shear as float32, in step with the drive [µm]; null on a link that takes
+   * spectrum frames.
+   */
+  shear_um: Uint8Array | null;
+  /** Rows of drive as float32 [V]; null on a link that takes spectrum frames. */
+  drive_v: Uint8Array | null;
+}
+
 /** State of a display at one instant, sent at the rate that `Subscribe` asked for. */
 export interface TelemetryMessage {
   type: "telemetry";
@@ -912,6 +967,8 @@ export interface TelemetryMessage {
    * samples are later than those of `trace`, and have numbers of their own.
    */
   played?: TelemetryTrace | null;
+  /** What was handed to the amplifier since the message before, if `Subscribe` asked for it. */
+  samples?: TelemetrySamples | null;
 }
 
 /** Any message of a client. */

@@ -159,6 +159,7 @@ export const SHAPES: Readonly<Record<string, Shape>> = {
     optional: {
       reason: "string",
       marker: "integer",
+      client: { anyOf: ["integer", "null"] },
     },
   },
   TelemetryMessage: {
@@ -178,6 +179,7 @@ export const SHAPES: Readonly<Record<string, Shape>> = {
       finger: { anyOf: [{ shape: "TelemetryFinger" }, "null"] },
       trace: { anyOf: [{ shape: "TelemetryTrace" }, "null"] },
       played: { anyOf: [{ shape: "TelemetryTrace" }, "null"] },
+      samples: { anyOf: [{ shape: "TelemetrySamples" }, "null"] },
     },
   },
   DisplayDescription: {
@@ -234,6 +236,24 @@ export const SHAPES: Readonly<Record<string, Shape>> = {
       sample_rate_hz: "number",
       first: "integer",
       shear_um: "bytes",
+    },
+    optional: {
+    },
+  },
+  TelemetrySamples: {
+    required: {
+      first: "integer",
+      sample_rate_hz: "number",
+      block_samples: "integer",
+      times_us: "bytes",
+      uncertainty_us: { anyOf: ["number", "null"] },
+      finger_times_us: "bytes",
+      position_mm: "bytes",
+      velocity_mm_s: "bytes",
+      normal_force_n: "bytes",
+      touching: { list: "boolean" },
+      shear_um: { anyOf: ["bytes", "null"] },
+      drive_v: { anyOf: ["bytes", "null"] },
     },
     optional: {
     },

@@ -136,6 +136,7 @@ export const SHAPES = {
         optional: {
             reason: "string",
             marker: "integer",
+            client: { anyOf: ["integer", "null"] },
         },
     },
     TelemetryMessage: {
@@ -155,6 +156,7 @@ export const SHAPES = {
             finger: { anyOf: [{ shape: "TelemetryFinger" }, "null"] },
             trace: { anyOf: [{ shape: "TelemetryTrace" }, "null"] },
             played: { anyOf: [{ shape: "TelemetryTrace" }, "null"] },
+            samples: { anyOf: [{ shape: "TelemetrySamples" }, "null"] },
         },
     },
     DisplayDescription: {
@@ -208,6 +210,23 @@ export const SHAPES = {
             sample_rate_hz: "number",
             first: "integer",
             shear_um: "bytes",
+        },
+        optional: {},
+    },
+    TelemetrySamples: {
+        required: {
+            first: "integer",
+            sample_rate_hz: "number",
+            block_samples: "integer",
+            times_us: "bytes",
+            uncertainty_us: { anyOf: ["number", "null"] },
+            finger_times_us: "bytes",
+            position_mm: "bytes",
+            velocity_mm_s: "bytes",
+            normal_force_n: "bytes",
+            touching: { list: "boolean" },
+            shear_um: { anyOf: ["bytes", "null"] },
+            drive_v: { anyOf: ["bytes", "null"] },
         },
         optional: {},
     },

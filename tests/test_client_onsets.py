@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import pytest
 from client_rig import PATIENCE, Script, ScriptedServer, until
 
@@ -78,6 +79,24 @@ def test_a_time_alone_will_do(server: ScriptedServer) -> None:
     (begin,) = begun(server)
     assert begin is not None
     assert not begin.drop_late
+
+
+def test_the_onset_of_another_program_is_an_event(server: ScriptedServer) -> None:
+    """Report on one that has the number of a stimulus of this program."""
+    events: list[client.Event] = []
+    with client.connect(server.url, timeout=PATIENCE) as display:
+        display.on_event(events.append)
+        at = client.At(time.monotonic() + 0.5, marker=5)
+        display.transient(1e-6, at=at)
+        (begin,) = begun(server)
+        assert begin is not None
+        server.say(msgspec.structs.replace(report(begin, reason="late by 3 ms"), client=9))
+        event = until(lambda: [one for one in events if one.kind == "onset"])[0]
+        assert not at.known
+    assert (event.display, event.detail) == ("left", "late by 3 ms")
+    assert event.onset is not None
+    assert (event.onset.client, event.onset.marker) == (9, 5)
+    assert event.onset.time == pytest.approx(at.time + 40e-6, abs=1e-6)
 
 
 def test_a_stimulus_that_was_not_played_says_why(server: ScriptedServer) -> None:

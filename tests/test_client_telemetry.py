@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -50,6 +51,70 @@ def test_telemetry_comes_in_si_and_on_our_clock(remote: Any, server: ScriptedSer
     stream.close()
     asked = until(lambda: len(server.of(m.Subscribe)) == 2 and server.of(m.Subscribe))
     assert [said.rate_hz for said in asked] == [20.0, 0.0]
+
+
+def packed(kind: str, *values: float) -> bytes:
+    return struct.pack(f"<{len(values)}{kind}", *values)
+
+
+SAMPLES = m.TelemetrySamples(
+    first=32, sample_rate_hz=8000.0, block_samples=2, times_us=packed("d", 5e6, 5.00025e6),
+    uncertainty_us=30.0, finger_times_us=packed("d", 5.003e6, 5.00325e6),
+    position_mm=packed("f", 1.0, 2.0, 1.5, 2.0), velocity_mm_s=packed("f", 80.0, 0.0, 90.0, -1.0),
+    normal_force_n=packed("f", 0.5, 0.25), touching=(True, False),
+    shear_um=packed("f", *range(12)), drive_v=packed("f", *range(0, -12, -1)),
+)  # fmt: skip
+"""Two blocks of two samples of three contactors."""
+
+
+def test_samples_come_in_si_and_on_our_clock() -> None:
+    """The server's clock is 2 s ahead, and the offset of both is uncertain by 10 µs."""
+    message = msgspec.structs.replace(telemetry(5_000_000), samples=SAMPLES)
+    received = wire.to_telemetry(message, 2.0, 10e-6)
+    samples = received.samples
+    assert samples is not None
+    assert received.time == pytest.approx(3.0)
+    assert (samples.first, samples.sample_rate, samples.block_samples) == (32, 8000.0, 2)
+    assert samples.times == pytest.approx([3.0, 3.00025])
+    assert samples.finger_times == pytest.approx([3.003, 3.00325])
+    assert samples.uncertainty == pytest.approx(40e-6)
+    assert [*chain(*samples.position)] == pytest.approx([1e-3, 2e-3, 1.5e-3, 2e-3])
+    assert [*chain(*samples.velocity)] == pytest.approx([0.08, 0.0, 0.09, -1e-3])
+    assert samples.normal_force == (0.5, 0.25)
+    assert samples.touching == (True, False)
+    assert samples.shear is not None
+    assert samples.drive is not None
+    assert samples.shear.shape == samples.drive.shape == (4, 3)
+    assert samples.shear[3, 1] == pytest.approx(10e-6)
+    assert samples.drive[1, 0] == -3.0
+
+
+def test_samples_without_shear_or_without_blocks_have_none() -> None:
+    frames = msgspec.structs.replace(SAMPLES, shear_um=None, drive_v=None, uncertainty_us=None)
+    nothing = msgspec.structs.replace(
+        SAMPLES, times_us=b"", finger_times_us=b"", position_mm=b"", velocity_mm_s=b"",
+        normal_force_n=b"", touching=(), shear_um=b"", drive_v=b"",
+    )  # fmt: skip
+    for message, blocks in ((frames, 2), (nothing, 0)):
+        whole = msgspec.structs.replace(telemetry(1), samples=message)
+        samples = wire.to_telemetry(whole, 0.0, 10e-6).samples
+        assert samples is not None
+        assert samples.shear is samples.drive is None
+        assert len(samples.times) == len(samples.position) == blocks
+    assert wire.to_telemetry(telemetry(1), 0.0, 0.0).samples is None
+
+
+def test_one_stream_with_samples_gives_them_to_all_streams(
+    remote: Any, server: ScriptedServer
+) -> None:
+    server.script.answers[m.Subscribe] = then_one(server)
+    plain, whole = remote.telemetry(rate=20), remote.telemetry(rate=10, samples=True)
+    next(iter(plain))
+    next(iter(whole))
+    whole.close()
+    asked = until(lambda: len(server.of(m.Subscribe)) == 3 and server.of(m.Subscribe))
+    assert [said.samples for said in asked] == [False, True, False]
+    plain.close()
 
 
 def test_what_the_server_does_not_know_is_none() -> None:

@@ -22,12 +22,13 @@ from tactile.client.display import BaseDisplay as BaseDisplay
 from tactile.client.display import RemoteDisplay as RemoteDisplay
 from tactile.client.frames import FrameWriter as FrameWriter
 from tactile.client.onsets import At as At
-from tactile.client.onsets import Onset as Onset
 from tactile.client.telemetry import TelemetryStream as TelemetryStream
 from tactile.client.transport import Transport as Transport
 from tactile.client.wire import Appended as Appended
+from tactile.client.wire import CommandedSamples as CommandedSamples
 from tactile.client.wire import DisplayInfo as DisplayInfo
 from tactile.client.wire import Event as Event
+from tactile.client.wire import Onset as Onset
 from tactile.client.wire import Stats as Stats
 from tactile.client.wire import Telemetry as Telemetry
 from tactile.messages import Layer as Layer

@@ -653,7 +653,12 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         return (await self._connection._request(request, messages.Textures, timeout)).textures
 
     def telemetry(
-        self, rate: float = 30.0, *, contactor: int | None = None, timeout: float | None = None
+        self,
+        rate: float = 30.0,
+        *,
+        contactor: int | None = None,
+        samples: bool = False,
+        timeout: float | None = None,
     ) -> AsyncTelemetryStream:
         """Return a stream of what the display does, for ``async for``.
 
@@ -664,6 +669,11 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         contactor : int, optional
             Contactor whose commanded shear `Telemetry.trace` holds sample by sample. There is one
             for all streams of a display, the one that was given last.
+        samples : bool
+            Whether `Telemetry.samples` holds all that is played, sample by sample. More items come
+            than ``rate`` says if the samples do not fit into a message. While such a stream is
+            open, an `Event` "onset" tells what became of each stimulus of another program that was
+            to begin at a time.
         timeout : float, optional
             Longest wait for each item, beyond its period [s].
 
@@ -672,7 +682,7 @@ class AsyncDisplay(AsyncClosing, BaseDisplay):
         AsyncTelemetryStream
             Stream that ends with the connection.
         """
-        return AsyncTelemetryStream(self, rate, timeout, contactor)
+        return AsyncTelemetryStream(self, rate, timeout, contactor, samples=samples)
 
     async def close(self: BaseDisplay) -> None:
         """Stop, and close the connection if `connect` made it for this display."""
@@ -719,7 +729,12 @@ class RemoteDisplay(Closing, BaseDisplay):
     close = blocking(AsyncDisplay.close)
 
     def telemetry(
-        self, rate: float = 30.0, *, contactor: int | None = None, timeout: float | None = None
+        self,
+        rate: float = 30.0,
+        *,
+        contactor: int | None = None,
+        samples: bool = False,
+        timeout: float | None = None,
     ) -> TelemetryStream:
         """Return a stream of what the display does: an iterator without end.
 
@@ -730,6 +745,11 @@ class RemoteDisplay(Closing, BaseDisplay):
         contactor : int, optional
             Contactor whose commanded shear `Telemetry.trace` holds sample by sample. There is one
             for all streams of a display, the one that was given last.
+        samples : bool
+            Whether `Telemetry.samples` holds all that is played, sample by sample. More items come
+            than ``rate`` says if the samples do not fit into a message. While such a stream is
+            open, an `Event` "onset" tells what became of each stimulus of another program that was
+            to begin at a time.
         timeout : float, optional
             Longest wait for each item, beyond its period [s].
 
@@ -738,4 +758,4 @@ class RemoteDisplay(Closing, BaseDisplay):
         TelemetryStream
             Stream that ends with the connection.
         """
-        return TelemetryStream(self, rate, timeout, contactor)
+        return TelemetryStream(self, rate, timeout, contactor, samples=samples)

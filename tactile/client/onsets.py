@@ -6,10 +6,9 @@ from collections.abc import Callable, Generator
 from concurrent.futures import Future, InvalidStateError
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
-from tactile.client.wire import to_microseconds, to_number
+from tactile.client.wire import Onset, to_microseconds, to_number, to_onset
 from tactile.clock import MONOTONIC, Clock
 from tactile.errors import ClientTimeoutError, DisconnectedError, InputError
 from tactile.messages import FARTHEST, BeginAt, OnsetMessage
@@ -19,36 +18,6 @@ PATIENCE = 5.0
 comes after 0.3 s, and a little later the report of one that began late."""
 FORGOTTEN = 120.0
 """Time since a stimulus was sent after which it is forgotten if no report came [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Onset:
-    """Beginning of a stimulus, as the amplifier has put it out.
-
-    Attributes
-    ----------
-    display : str
-        Name of the display.
-    at : float
-        Time at which it was to begin, on the clock of `time.monotonic` [s].
-    time : float or None
-        Time at which its first sample was put out, on the same clock; None if it was not [s].
-    uncertainty : float or None
-        Half of the interval around ``time`` that holds the true one; None if it is not known [s].
-    reason : str
-        Reason why it did not begin, or not at its time, or without its marker; empty if all was as
-        it should be.
-    marker : int
-        Code that the marker lines of the amplifier have shown with its first sample, as far as it
-        has confirmed that; 0 for none.
-    """
-
-    display: str
-    at: float
-    time: float | None
-    uncertainty: float | None
-    reason: str
-    marker: int = 0
 
 
 class At:
@@ -228,15 +197,7 @@ class Onsets:
         message : OnsetMessage
             Report of the server.
         """
-        offset, uncertainty = self._offset()
-        onset = Onset(
-            message.display,
-            message.at_us * 1e-6 - offset,
-            None if message.onset_us is None else message.onset_us * 1e-6 - offset,
-            None if message.uncertainty_us is None else message.uncertainty_us * 1e-6 + uncertainty,
-            message.reason,
-            message.marker,
-        )
+        onset = to_onset(message, *self._offset())
         stimulus = self._take(message.number)
         if stimulus is not None:
             with suppress(InvalidStateError):

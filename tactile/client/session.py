@@ -4,7 +4,6 @@ A `ClientSession` stands between a connection, which asks, and a `Transport`, wh
 messages. Everything here may be called from any thread, and nothing waits.
 """
 
-import dataclasses
 import threading
 import weakref
 from collections import Counter, deque
@@ -227,9 +226,7 @@ class ClientSession:
         self.connected = self.closed = self._final = False
         self.reason = "not connected yet"
         self.offset = ClockOffset(same_machine=transport.is_local)
-        self.onsets = Onsets(
-            clock, lambda: (self.offset.seconds, self.offset.uncertainty(clock.now()))
-        )
+        self.onsets = Onsets(clock, self._clock_offset)
         self.counters: Counter[str] = Counter(
             dict.fromkeys(
                 ("dropped_contacts", "dropped_events", "dropped_frames", "dropped_telemetry",
@@ -237,6 +234,10 @@ class ClientSession:
             )
         )  # fmt: skip
         self.dropped_contacts: Counter[str] = Counter()
+
+    def _clock_offset(self) -> tuple[float, float]:
+        """Return the server's clock less the program's, and the uncertainty of that [s]."""
+        return self.offset.seconds, self.offset.uncertainty(self.clock.now())
 
     # Called by a connection
 
@@ -360,8 +361,11 @@ class ClientSession:
             If there is no connection.
         """
         wire.checked(
-            Subscribe(display=queue.display, rate_hz=queue.rate, contactor=queue.contactor)
-        )
+            Subscribe(
+                display=queue.display, rate_hz=queue.rate, contactor=queue.contactor,
+                samples=queue.samples,
+            )
+        )  # fmt: skip
         with self._lock:
             self._queues.setdefault(queue.display, weakref.WeakKeyDictionary())[queue] = None
         return self.request(self._subscription(queue.display))
@@ -386,7 +390,8 @@ class ClientSession:
         rate = max((queue.rate for queue in queues), default=0.0)
         contactors = [queue.contactor for queue in queues if queue.contactor is not None]
         last = contactors[-1] if contactors else None
-        return Subscribe(display=display, rate_hz=rate, contactor=last)
+        samples = any(queue.samples for queue in queues)
+        return Subscribe(display=display, rate_hz=rate, contactor=last, samples=samples)
 
     def close(self) -> None:
         """End the session: no request is answered any more."""
@@ -512,8 +517,11 @@ class ClientSession:
                         answer.kind, answer.display, answer.detail, answer.estop, answer.contactors
                     )
                 )
-            case OnsetMessage():
+            case OnsetMessage(client=None):
                 self.onsets.received(answer)
+            case OnsetMessage():
+                onset = wire.to_onset(answer, *self._clock_offset())
+                self.notify(wire.Event("onset", answer.display, answer.reason, onset=onset))
             case _:
                 self._answered(answer)
 
@@ -529,8 +537,8 @@ class ClientSession:
                 self._queues.pop(telemetry.display, None)
         if not queues and known:
             self._transport.send(Subscribe(display=telemetry.display, rate_hz=0))
-        item = wire.from_message(wire.Telemetry, telemetry)
-        item = dataclasses.replace(item, time=item.time - self.offset.seconds)
+        offset, uncertainty = self._clock_offset()
+        item = wire.to_telemetry(telemetry, offset, uncertainty)
         lost = sum(queue.put(item) for queue in queues)
         if lost:
             with self._lock:

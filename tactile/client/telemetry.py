@@ -27,6 +27,8 @@ class BaseTelemetryStream:
         Longest wait for each item, beyond its period [s]; by default that of the connection.
     contactor : int, optional
         Contactor whose shear is wanted sample by sample.
+    samples : bool
+        Whether all that is played is wanted.
     """
 
     def __init__(
@@ -35,9 +37,11 @@ class BaseTelemetryStream:
         rate: float,
         timeout: float | None,
         contactor: int | None = None,
+        *,
+        samples: bool = False,
     ) -> None:
         self._connection = display._connection
-        self._queue = TelemetryQueue(display.name, rate, contactor)
+        self._queue = TelemetryQueue(display.name, rate, contactor, samples=samples)
         self._timeout, self._subscribed = self._connection._patience(timeout), False
 
 

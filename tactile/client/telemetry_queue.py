@@ -22,6 +22,8 @@ class TelemetryQueue:
         Rate of the telemetry [Hz].
     contactor : int, optional
         Contactor whose shear is wanted sample by sample.
+    samples : bool
+        Whether all that is played is wanted.
 
     Raises
     ------
@@ -29,11 +31,13 @@ class TelemetryQueue:
         If the rate is not above 0.
     """
 
-    def __init__(self, display: str, rate: float, contactor: int | None = None) -> None:
+    def __init__(
+        self, display: str, rate: float, contactor: int | None = None, *, samples: bool = False
+    ) -> None:
         rate = to_number(rate, "rate [Hz]")
         if not rate > 0:
             raise InputError(f"rate: {rate:g} Hz is not above 0")
-        self.display, self.rate, self.contactor = display, rate, contactor
+        self.display, self.rate, self.contactor, self.samples = display, rate, contactor, samples
         self._lock = threading.Lock()
         self._items: deque[Telemetry] = deque(maxlen=LONGEST)
         self._reader: Future[Telemetry | None] | None = None

@@ -9,6 +9,8 @@ import math
 import operator
 import reprlib
 import struct
+import sys
+from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -196,6 +198,57 @@ class ShearTrace:
 
 
 @dataclass(frozen=True, slots=True)
+class CommandedSamples:
+    """What playback has handed to the amplifier since the telemetry before, sample by sample.
+
+    It comes in B blocks, of which there is none while nothing plays. After an e-stop, the amplifier
+    turns to 0 V by itself.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first sample. It continues the telemetry before unless samples are missing,
+        and begins anew when the server opens the display anew.
+    sample_rate : float
+        Nominal rate of the samples [Hz].
+    block_samples : int
+        Number of samples of a block.
+    times : (B,) tuple of float
+        Time on this program's monotonic clock at which the first sample of each block is put out,
+        by the clock of the amplifier [s]. Blocks are handed over before that.
+    uncertainty : float or None
+        Half of the largest interval around these times that holds the true one; None if it is not
+        known, as on a sound card [s].
+    finger_times : (B,) tuple of float
+        Time on this program's monotonic clock for which each block has the finger [s].
+    position, velocity : (B,) tuple of (2,) tuple of float
+        Position and velocity of the finger in each block [m, m/s].
+    normal_force : (B,) tuple of float
+        Normal force of the finger in each block [N].
+    touching : (B,) tuple of bool
+        Whether the finger touches the surface in each block.
+    shear : (S, N) memoryview of float32 or None
+        Commanded shear of each contactor, in step with the drive [m]; None on a link that takes
+        spectrum frames, and while nothing plays.
+    drive : (S, N) memoryview of float32 or None
+        Voltage of each contactor [V]; None where there is no shear.
+    """
+
+    first: int
+    sample_rate: float
+    block_samples: int
+    times: tuple[float, ...]
+    uncertainty: float | None
+    finger_times: tuple[float, ...]
+    position: tuple[Pair, ...]
+    velocity: tuple[Pair, ...]
+    normal_force: tuple[float, ...]
+    touching: tuple[bool, ...]
+    shear: "memoryview[float] | None"
+    drive: "memoryview[float] | None"
+
+
+@dataclass(frozen=True, slots=True)
 class Telemetry:
     """State of a display and its finger at a time.
 
@@ -229,6 +282,9 @@ class Telemetry:
         a link that takes spectrum frames.
     played : ShearTrace or None
         Shear of the skin at that contactor on a simulated display, which alone knows it.
+    samples : CommandedSamples or None
+        What was handed to the amplifier since the telemetry before, if ``samples`` was given to
+        `telemetry`.
     """
 
     display: str
@@ -244,6 +300,40 @@ class Telemetry:
     finger: FingerState | None = None
     trace: ShearTrace | None = None
     played: ShearTrace | None = None
+    samples: CommandedSamples | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """Beginning of a stimulus, as the amplifier has put it out.
+
+    Attributes
+    ----------
+    display : str
+        Name of the display.
+    at : float
+        Time at which it was to begin, on the clock of `time.monotonic` [s].
+    time : float or None
+        Time at which its first sample was put out, on the same clock; None if it was not [s].
+    uncertainty : float or None
+        Half of the interval around ``time`` that holds the true one; None if it is not known [s].
+    reason : str
+        Reason why it did not begin, or not at its time, or without its marker; empty if all was as
+        it should be.
+    marker : int
+        Code that the marker lines of the amplifier have shown with its first sample, as far as it
+        has confirmed that; 0 for none.
+    client : int or None
+        Number of the program that played it; None if it is this program.
+    """
+
+    display: str
+    at: float
+    time: float | None
+    uncertainty: float | None
+    reason: str
+    marker: int = 0
+    client: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +345,8 @@ class Event:
     kind : str
         Kind of a `tactile.messages.EventMessage`, or one of this side: "connected" (again),
         "disconnected", "refused" (a contact or frames, or what was to be restored after a
-        reconnection).
+        reconnection), "onset" (of a stimulus of another program, while telemetry with samples is
+        read).
     display : str
         Name of the display, or "" if the event concerns all.
     detail : str
@@ -264,6 +355,8 @@ class Event:
         Number of the e-stop, of "estopped".
     contactors : tuple of int
         Contactors of "touched" and "lifted".
+    onset : Onset or None
+        What became of the stimulus, of "onset".
     """
 
     kind: str
@@ -271,6 +364,7 @@ class Event:
     detail: str = ""
     estop: int = 0
     contactors: tuple[int, ...] = ()
+    onset: Onset | None = None
 
 
 def checked(message: M) -> M:
@@ -659,6 +753,106 @@ def _scaled(value: Any, unit: float) -> Any:
     if isinstance(value, tuple):
         return tuple(_scaled(item, unit) for item in value)
     return value * unit
+
+
+def to_onset(message: messages.OnsetMessage, offset: float, uncertainty: float) -> Onset:
+    """Return the report on a stimulus in SI, on the clock of this program.
+
+    Parameters
+    ----------
+    message : OnsetMessage
+        Report of the server.
+    offset : float
+        The server's clock less the program's [s].
+    uncertainty : float
+        Uncertainty of that offset [s].
+
+    Returns
+    -------
+    Onset
+        What became of the stimulus.
+    """
+    at, onset, half = message.at_us, message.onset_us, message.uncertainty_us
+    return Onset(
+        message.display,
+        at * 1e-6 - offset,
+        None if onset is None else onset * 1e-6 - offset,
+        None if half is None else half * 1e-6 + uncertainty,
+        message.reason,
+        message.marker,
+        message.client,
+    )
+
+
+def to_telemetry(
+    message: messages.TelemetryMessage, offset: float, uncertainty: float
+) -> Telemetry:
+    """Return telemetry in SI, on the clock of this program.
+
+    Parameters
+    ----------
+    message : TelemetryMessage
+        Telemetry of the server.
+    offset : float
+        The server's clock less the program's [s].
+    uncertainty : float
+        Uncertainty of that offset [s].
+
+    Returns
+    -------
+    Telemetry
+        State of the display.
+    """
+    state = from_message(Telemetry, msgspec.structs.replace(message, samples=None))
+    samples = message.samples
+    return dataclasses.replace(
+        state,
+        time=state.time - offset,
+        samples=None if samples is None else _to_samples(samples, offset, uncertainty),
+    )
+
+
+def _to_samples(
+    message: messages.TelemetrySamples, offset: float, uncertainty: float
+) -> CommandedSamples:
+    """Return samples in SI, on the clock of this program."""
+
+    def pairs(packed: bytes) -> tuple[Pair, ...]:
+        return tuple((x * 1e-3, y * 1e-3) for x, y in struct.iter_unpack("<2f", packed))
+
+    def times(packed: bytes) -> tuple[float, ...]:
+        return tuple(time * 1e-6 - offset for (time,) in struct.iter_unpack("<d", packed))
+
+    def numbers(packed: bytes) -> "array[float]":
+        values = array("f", packed)
+        if sys.byteorder == "big":
+            values.byteswap()
+        return values
+
+    def rows(packed: bytes | None, unit: float) -> "memoryview[float] | None":
+        if not packed:
+            return None
+        values = numbers(packed)
+        if unit != 1:
+            values = array("f", map(unit.__mul__, values))
+        count = message.block_samples * len(message.touching)
+        return memoryview(values).cast("B").cast("f", (count, len(values) // count))
+
+    half = message.uncertainty_us
+    return CommandedSamples(
+        first=message.first,
+        sample_rate=message.sample_rate_hz,
+        block_samples=message.block_samples,
+        times=times(message.times_us),
+        uncertainty=None if half is None else half * 1e-6 + uncertainty,
+        finger_times=times(message.finger_times_us),
+        position=pairs(message.position_mm),
+        velocity=pairs(message.velocity_mm_s),
+        normal_force=tuple(numbers(message.normal_force_n)),
+        touching=message.touching,
+        shear=rows(message.shear_um, 1e-6),
+        drive=rows(message.drive_v, 1.0),
+    )
 
 
 def from_message(kind: type[S], message: msgspec.Struct) -> S:

@@ -54,13 +54,14 @@ MAP: dict[str, set[str]] = {
     },
     "client": {"clock", "messages", "paths"},
     "local": {"client", "messages", "server"},
+    "lsl": {"client", "clock"},
     "show": {
         "actuator", "display", "files", "rendering", "sensing", "strength", "texture",
     },
     "study": {"actuator", "clock", "display", "files", "show"},
     "bench": {"bus", "clock", "devices", "display", "rendering", "texture"},
     "cli": {
-        "bench", "bringup", "bus", "client", "devices", "display", "estop", "files",
+        "bench", "bringup", "bus", "client", "devices", "display", "estop", "files", "lsl",
         "playback", "sensing", "server", "show", "strength", "study", "texture",
     },
     "__main__": {"cli"},
@@ -76,6 +77,7 @@ AT_HOME = {
     "numba": {"machine_code"},
     "onnxruntime": {"texture.formats.level_model"},
     "matplotlib": {"show", "study"},
+    "pylsl": {"lsl"},
     "pymoo": {"study"},
     "rich": {"bench.__init__", "cli", "show.effect_view", "show.live", "show.still"},
     "typer": {"cli"},
@@ -305,6 +307,7 @@ def test_every_library_is_a_declared_dependency() -> None:
         *extras["plot"],
         *extras["picture"],
         *extras["onnx"],
+        *extras["lsl"],
         *extras["study"],
     ]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}

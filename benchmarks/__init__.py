@@ -24,6 +24,7 @@ from benchmarks.fuzz import measure_fuzz
 from benchmarks.fuzz_server import measure_fuzz_server
 from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
+from benchmarks.lsl import measure_lsl
 from benchmarks.maps import measure_maps
 from benchmarks.onsets import measure_onsets, measure_onsets_long
 from benchmarks.optimize import measure_optimize
@@ -76,6 +77,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "latency": measure_latency,
     "tactile-frames": measure_tactile_frames,
     "onsets": measure_onsets,
+    "lsl": measure_lsl,
     "page": measure_page,
     "page-position": measure_page_position,
     "waves": measure_waves,

@@ -14,11 +14,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import AbstractAsyncContextManager, closing, nullcontext
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.virtual import (
     Records,
@@ -139,8 +140,26 @@ def send(url: str, count: int, file: str) -> None:
     np.save(file, np.array(rows))
 
 
-async def _played(device: str, count: int, file: Path) -> None:
-    """Play what a client sends, on a display that stays armed."""
+async def played(
+    device: str,
+    count: int,
+    file: Path,
+    beside: Callable[[str], AbstractAsyncContextManager[object]],
+) -> None:
+    """Play the bursts that a client sends, on a display that stays armed.
+
+    Parameters
+    ----------
+    device : str
+        URL of the amplifier.
+    count : int
+        Number of bursts.
+    file : Path
+        File for what is reported of them, as of `send`.
+    beside : Callable
+        Function that takes the address of the server, and returns a context that is open from the
+        time on at which the display is armed.
+    """
     display = DisplayConfig(name=NAME, device=device, worn=True)
     config = Configuration(server=ServerConfig(port=0, socket=""), display=(display,))
     host = Host(config)
@@ -148,11 +167,12 @@ async def _played(device: str, count: int, file: Path) -> None:
         keeper = host.connect("bench", roles=m.ALL_ROLES)
         answer = await keeper.request(m.ArmDisplay(display=NAME))
         assert isinstance(answer, m.Done), answer
-        await asyncio.sleep(SETTLING)
-        code = CLIENT.format(server.url, count, str(file))
-        client = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
-        if await client.wait():
-            raise subprocess.CalledProcessError(client.returncode or 1, "client")
+        async with beside(server.url):
+            await asyncio.sleep(SETTLING)
+            code = CLIENT.format(server.url, count, str(file))
+            client = await asyncio.create_subprocess_exec(sys.executable, "-c", code)
+            if await client.wait():
+                raise subprocess.CalledProcessError(client.returncode or 1, "client")
         await keeper.request(m.DisarmDisplay(display=NAME))
 
 
@@ -193,6 +213,39 @@ def template() -> tuple[Floats, int]:
     return np.concatenate(parts), start + renderer.delay
 
 
+def drive_onsets(times: Floats, values: NDArray[np.number], asked: Floats) -> Floats:
+    """Return the time at which each burst began, by the drive (K,) [s].
+
+    Parameters
+    ----------
+    times : (S,) array of float
+        Time of each sample [s].
+    values : (S, N) array
+        Drive of each contactor, in any unit.
+    asked : (K,) array of float
+        Times at which the bursts were to begin [s].
+
+    Returns
+    -------
+    (K,) array of float
+        Times; NaN where no drive is like a burst [s].
+    """
+    drive, onset = template()
+    onsets = np.full(len(asked), np.nan)
+    for k, when in enumerate(asked):
+        first = int(np.searchsorted(times, when - SEARCHED)) - onset
+        part = values[max(first, 0) :, k % CONTACTORS][: 2 * int(SEARCHED * RATE) + 640]
+        wanted = drive[:, k % CONTACTORS]
+        if len(part) < len(wanted):
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(part.astype(np.float64), len(wanted))
+        likeness = windows @ wanted / (np.linalg.norm(windows, axis=1) + 1e-9)
+        best = int(likeness.argmax())
+        if likeness[best] > 0.99 * np.linalg.norm(wanted):
+            onsets[k] = times[max(first, 0) + best + onset]
+    return onsets
+
+
 def true_onsets(records: Records, powered_up: float, asked: Floats) -> Floats:
     """Return the time at which each burst began, by the amplifier's record (K,) [s].
 
@@ -210,21 +263,8 @@ def true_onsets(records: Records, powered_up: float, asked: Floats) -> Floats:
     (K,) array of float
         Times; NaN where no drive is like a burst [s].
     """
-    drive, onset = template()
     times = powered_up + records.tick.astype(np.float64) * 1e-6
-    onsets = np.full(len(asked), np.nan)
-    for k, when in enumerate(asked):
-        first = int(np.searchsorted(times, when - SEARCHED)) - onset
-        part = records.codes[max(first, 0) :, k % CONTACTORS][: 2 * int(SEARCHED * RATE) + 640]
-        wanted = drive[:, k % CONTACTORS]
-        if len(part) < len(wanted):
-            continue
-        windows = np.lib.stride_tricks.sliding_window_view(part.astype(np.float64), len(wanted))
-        likeness = windows @ wanted / (np.linalg.norm(windows, axis=1) + 1e-9)
-        best = int(likeness.argmax())
-        if likeness[best] > 0.99 * np.linalg.norm(wanted):
-            onsets[k] = times[max(first, 0) + best + onset]
-    return onsets
+    return drive_onsets(times, records.codes, asked)
 
 
 def marker_times(file: Path, powered_up: float, asked: Floats) -> Floats:
@@ -296,7 +336,8 @@ def _serial(count: int) -> Iterator[Figure]:
         file = folder / "onsets.npy"
 
         def play(amplifier: VirtualAmplifier) -> Floats:
-            asyncio.run(_played(f"serial://{amplifier.path}", count, file))
+            device = f"serial://{amplifier.path}"
+            asyncio.run(played(device, count, file, lambda url: nullcontext()))
             return np.asarray(np.load(file))
 
         yield from _measured("onsets.serial", folder, ("--pty",), play)

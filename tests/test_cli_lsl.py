@@ -12,28 +12,15 @@ from collections.abc import Iterator
 import pytest
 from cli_rig import Command, assert_mistake
 from client_rig import PATIENCE, Script, ScriptedServer, until
+from lsl_rig import loopback as loopback
+from lsl_rig import pylsl
 from rich.console import Console
 
 from tactile import client
 from tactile import messages as m
 from tactile.cli import lsl_command
 
-if os.environ.get("CI") == "true":  # where a missing library is a failure
-    import pylsl
-else:
-    pylsl = pytest.importorskip("pylsl")
-
 BLOCK = 4
-
-
-@pytest.fixture(scope="module", autouse=True)
-def loopback(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Let liblsl look for streams on this machine also where a network has no multicast."""
-    file = tmp_path_factory.mktemp("lsl") / "lsl_api.cfg"
-    file.write_text("[lab]\nKnownPeers = {127.0.0.1}\n[log]\nlevel = -3\n")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LSLAPICFG", str(file))
-        yield
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ all programs of this machine see all streams.
 """
 
 import itertools
-import os
 import queue
 import sys
 import threading
@@ -17,6 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lsl_rig import loopback as loopback
+from lsl_rig import pylsl
 
 from tactile.client import At, DisplayInfo, Event, Onset
 from tactile.client.wire import CommandedSamples
@@ -28,11 +29,6 @@ from tactile.lsl.library import load_pylsl
 from tactile.lsl.outlets import Outlet
 from tactile.lsl.settings import parse_starts, parse_streams
 from tactile.lsl.timing import LslClock, measure_clock
-
-if os.environ.get("CI") == "true":  # where a missing library is a failure
-    import pylsl
-else:
-    pylsl = pytest.importorskip("pylsl")
 
 PATIENCE = 30.0
 """Longest wait for something that takes milliseconds on an idle machine [s]."""
@@ -162,16 +158,6 @@ def commanded(first: int, times: tuple[float, ...], **changed: Any) -> Commanded
 
 
 NOTHING = commanded(0, ())
-
-
-@pytest.fixture(scope="module", autouse=True)
-def loopback(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Let liblsl look for streams on this machine also where a network has no multicast."""
-    file = tmp_path_factory.mktemp("lsl") / "lsl_api.cfg"
-    file.write_text("[lab]\nKnownPeers = {127.0.0.1}\n[log]\nlevel = -3\n")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LSLAPICFG", str(file))
-        yield
 
 
 @pytest.fixture

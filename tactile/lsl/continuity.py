@@ -5,9 +5,9 @@ from typing import NamedTuple
 from tactile.client.wire import CommandedSamples
 
 JUMP = 1e-3
-"""Least step of time at which samples do not follow one another [s]. Estimates of clocks step by
-some 0.02 ms, and by up to 0.7 ms over a wireless network; playback that was late leaves out more
-than 1 ms."""
+"""Least step of time at which samples do not follow one another [s]. Estimates of clocks were seen
+to step by 0.02 ms on one machine, and by up to 0.7 ms with the delays of a wireless network
+(simulated); playback that was late leaves out more than 1 ms."""
 
 
 class Interruption(NamedTuple):

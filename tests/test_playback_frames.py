@@ -9,12 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile.arrays import Floats, Singles
-from tactile.playback.frame_stream import (
-    FramePlayer,
-    FrameStream,
-    LatestFrames,
-    QueuedFrames,
-)
+from tactile.playback.frame_player import FramePlayer
+from tactile.playback.frame_stream import FrameStream, LatestFrames, QueuedFrames
 
 DRIVE = 8000.0
 RATE = 1000.0

@@ -189,12 +189,16 @@ class AddFrames:
         Rate of the frames [Hz].
     latest : bool
         Whether only the newest frame counts; otherwise all are played, one after the other.
+    time : float or None
+        Time at which the first of them is to be put out, in the host's clock; None for frames that
+        are played as they come [s].
     """
 
     client: int
     frames: NDArray[np.float32]
     frame_rate: float
     latest: bool
+    time: float | None = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ The content of a block follows the mixing rule of `tactile.messages`: the textur
 which the finger belongs, and the waves of all clients.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -162,6 +163,8 @@ class Mixer:
         self.dropped_waves = self.dropped_frames = self.frame_gaps = self._client = 0
         self._begins_work = BEGINS_WORK
         self._rate = sample_rate
+        self._next_time = math.nan
+        """Time at which the first sample of the next block is put out [s]."""
         step = 1 / (display.limits.fade * sample_rate)
         self._air = Ramp(step, 1.0 if worn else IN_AIR)
         self._touching = worn
@@ -196,6 +199,7 @@ class Mixer:
         """
         if client not in self.voices:
             self.voices[client] = Voice(self._rate, len(self.display.contactors))
+            self.voices[client].frames.next_time = self._next_time
         return self.voices[client]
 
     def forget(self, client: int) -> None:
@@ -284,13 +288,15 @@ class Mixer:
         """Play tactile frames, unless the client has stopped what it plays."""
         voice, late = self.voice(order.client), False
         dropped = len(order.frames)
-        taken = None if exactly else self.schedule.extend(order)
+        joins = not exactly and order.time is None
+        taken = self.schedule.extend(order) if joins else None
         if taken is not None:
             dropped -= taken
         elif voice.state.sounds:
             dropped, late = voice.frames.add(
-                order.frames, order.frame_rate, latest=order.latest, exactly=exactly
-            )
+                order.frames, order.frame_rate,
+                latest=order.latest, exactly=exactly, time=order.time,
+            )  # fmt: skip
         self.dropped_frames += dropped
         self.frame_gaps += late
 
@@ -416,6 +422,9 @@ class Mixer:
         self.place, self.force = self.tracker.at(times, block.now)
         begins = self._take_scheduled(float(times[0]), len(times))
         start = block.position + self.rendering.timed
+        for voice in self.voices.values():
+            voice.frames.next_time = float(times[0])
+        self._next_time = float(times[0]) + len(times) / self._rate
         waves = self._waves(len(times), block.number, begins, start)
         self._take_begun(start + len(times))
         return self.rendering.render(block.position, self.place, self.force, waves)

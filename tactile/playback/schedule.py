@@ -13,12 +13,14 @@ import numpy as np
 
 from tactile.arrays import Singles
 from tactile.playback.commands import AddFrames, AppendSamples, BeginEffect, PlayAt
-from tactile.playback.frame_stream import MOST_VALUES as MOST_FRAME_VALUES
 from tactile.playback.waveforms import GRID_WORK, LONGEST, SEGMENT_WORK, WEIGHTS_WORK
 
 MOST_SCHEDULED, MOST_VALUES = 64, 1 << 19
 """Maximum numbers of stimuli of one client that wait for their time, and of their values: 2 MB, a
 second of frames of 64 contactors at 8 kHz."""
+MOST_FRAME_VALUES = 1 << 18
+"""Maximum number of values of a stream of frames that waits for its time: 1 MB, which is allocated
+at once."""
 BEGIN_WORK, VALUES = 800, 100
 """Work of beginning a stimulus, and number of values that are moved with one unit of work; in units
 of `tactile.playback.waves`."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile.arrays import Singles
-from tactile.playback.frame_stream import FramePlayer
+from tactile.playback.frame_player import FramePlayer
 from tactile.playback.waveforms import WaveformQueue
 from tactile.playback.waves import EffectPlayer
 

@@ -434,6 +434,10 @@ class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
     tenth of a second. A client has one stream on a display: frames of another rate, or with
     another ``latest``, replace it.
 
+    If the frames have times, they are played at a constant delay after their source made them,
+    however unevenly they come. A frame that comes after its time is dropped. Where the times of two
+    messages do not follow each other, to within 1 ms, the signal fades out and in.
+
     Attributes
     ----------
     display : str
@@ -455,10 +459,14 @@ class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
         Time at which the first of the frames is to be played, in a stream that replaces the one
         before; null for frames that continue a stream: one of the same rate that waits for its
         time, else the one that plays.
+    time_us : int or null
+        Time of the server's monotonic clock at which the first of the frames is to be put out, at
+        most a second ahead, in a stream whose frames all have times; null for frames that are
+        played as they come [µs].
     """
 
     display: Name
-    frame_rate_hz: Annotated[float, Meta(ge=100, le=48_000)]
+    frame_rate_hz: Annotated[float, Meta(ge=100, le=192_000)]
     amplitude_um: Micrometers
     frames: (
         Annotated[tuple[Signed, ...], Meta(max_length=MOST_FRAME_VALUES)]
@@ -466,6 +474,7 @@ class TactileFrames(ApiMessage, frozen=True, kw_only=True, tag="frames"):
     )
     latest: bool = False
     begin: BeginAt | None = None
+    time_us: Microseconds | None = None
 
 
 class Point(Struct, frozen=True, array_like=True):

@@ -172,6 +172,13 @@ class Judged(RuleBasedStateMachine):
             "frames": lambda: m.TactileFrames(
                 display=name, frame_rate_hz=500.0, amplitude_um=20.0, frames=FRAMES
             ),
+            "timed_frames": lambda: m.TactileFrames(
+                display=name,
+                frame_rate_hz=500.0,
+                amplitude_um=20.0,
+                frames=FRAMES,
+                time_us=round(1e6 * (self.now + 0.02)),
+            ),
             "select": lambda: m.Select(display=name, layers=(m.Layer(texture="wood-oak"),)),
             "touch": lambda: m.Contact(display=name, position_mm=(1.0, 0), normal_force_n=0.5),
             "stop": lambda: m.StopPlaying(display=name),

@@ -84,6 +84,10 @@ class Story:
         self.ask(one, m.TactileFrames(
             display=NAME, frame_rate_hz=1000, amplitude_um=2, frames=wave[:960],
         ))  # fmt: skip
+        self.ask(one, m.TactileFrames(
+            display=NAME, frame_rate_hz=2000, amplitude_um=2, frames=wave[:960],
+            time_us=round(1e6 * (self.world.clock.now() + 0.05)),
+        ))  # fmt: skip
         soon = m.BeginAt(at_us=round(1e6 * (self.world.clock.now() + 0.1)))
         appended = self.ask(one, m.Append(
             display=NAME, sample_rate_hz=1000, amplitude_um=1, samples=wave[:100],

@@ -45,7 +45,8 @@ KINDS = st.sampled_from(
     ["arm"] * 3
     + ["effect"] * 2
     + ["clear"] * 3
-    + ["append", "frames", "scheduled", "select", "touch", "stop", "gain", "stats", "disarm"]
+    + ["append", "frames", "timed_frames", "scheduled"]
+    + ["select", "touch", "stop", "gain", "stats", "disarm"]
     + ["estop", "estop_all", "clear_older", "clear_newer"]
 )
 

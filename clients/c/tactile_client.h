@@ -496,6 +496,10 @@ typedef struct {
  * which is counted as `frame_gaps`; if no frame comes any more, the stream fades out within a
  * tenth of a second. A client has one stream on a display: frames of another rate, or with
  * another `latest`, replace it.
+ *
+ * If the frames have times, they are played at a constant delay after their source made them,
+ * however unevenly they come. A frame that comes after its time is dropped. Where the times of two
+ * messages do not follow each other, to within 1 ms, the signal fades out and in.
  */
 typedef struct {
   /** Name of the display. */
@@ -527,6 +531,13 @@ typedef struct {
    */
   bool has_begin;
   tactile_begin_at begin;
+  /**
+   * Time of the server's monotonic clock at which the first of the frames is to be put out, at
+   * most a second ahead, in a stream whose frames all have times; null for frames that are
+   * played as they come [µs].
+   */
+  bool has_time_us;
+  int64_t time_us;
 } tactile_frames;
 
 /** Amplitude at a time, an array [time_ms, value]; linear between points. */
@@ -1456,9 +1467,10 @@ static const tactile_field tactile_fields_frames[] = {
     TACTILE_FIELD(frames, frames, number_list, TACTILE_REQUIRED),
     TACTILE_FIELD(frames, latest, boolean, TACTILE_OPTIONAL),
     TACTILE_FLAGGED(frames, begin, begin_at, TACTILE_OPTIONAL, 0.0),
+    TACTILE_FLAGGED(frames, time_us, integer, TACTILE_OPTIONAL, 0.0),
 };
 static const tactile_shape tactile_shape_frames = {
-    TACTILE_FORM_STRUCTURE, sizeof(tactile_frames), 7,
+    TACTILE_FORM_STRUCTURE, sizeof(tactile_frames), 8,
     NULL, tactile_tag_frames, tactile_fields_frames};
 
 static const tactile_field tactile_fields_point[] = {

@@ -238,16 +238,22 @@ class Client:
         if len(values) % contactors:
             text = f"{len(values)} values are no whole number of frames for {contactors} contactors"
             return failed("invalid_field", text, field="frames")
-        if failure := self._begin_failure(playing, message.begin):
+        failure = self._begin_failure(playing, message.begin) or _time_failure(message)
+        if failure:
             return failure
         if self._has_left or not len(values):
             return None
         shear = np.float32(message.amplitude_um * 1e-6) * values.reshape(-1, contactors)
-        frames = commands.AddFrames(self.number, shear, message.frame_rate_hz, message.latest)
+        time = None if message.time_us is None else message.time_us * 1e-6
+        frames = commands.AddFrames(self.number, shear, message.frame_rate_hz, message.latest, time)
         playing.add_frames(frames, message.begin)
         seconds = len(shear) / message.frame_rate_hz
         # frames that continue a stream that waits for its time sound with it, a second at most
-        self._sound((LONGEST if message.begin else seconds) + HOLD + FADE, message.begin)
+        seconds = (LONGEST if message.begin else seconds) + HOLD + FADE
+        if message.time_us is None:
+            self._sound(seconds, message.begin)
+        else:
+            self._sound(seconds, m.BeginAt(at_us=message.time_us))
         return None
 
     def _sound(self, seconds: float, begin: m.BeginAt | None) -> None:
@@ -260,10 +266,9 @@ class Client:
         """Return what is wrong with the time at which something is to begin, or its marker."""
         if begin is None:
             return None
-        ahead, lines = begin.at_us * 1e-6 - loop_time(), playing.how.marker_lines
-        if ahead > m.FARTHEST:
-            text = f"{ahead:.6g} s ahead; at most {m.FARTHEST:g} s"
-            return failed("invalid_field", text, field="begin.at_us")
+        if failure := _far_failure(begin.at_us, "begin.at_us", m.FARTHEST):
+            return failure
+        lines = playing.how.marker_lines
         if begin.marker >> lines:
             text = (
                 f"code {begin.marker}; must be below {1 << lines}, as the amplifier has {lines} "
@@ -588,6 +593,25 @@ def _point_rows(points: list[tuple[float, ...]], width: int) -> NDArray[np.float
     rows = np.array(points, np.float64).reshape(-1, width)
     rows[:, 0] *= 1e-3
     return rows
+
+
+def _far_failure(time_us: int, field: str, farthest: float) -> Failure | None:
+    """Return a failure if the time in a field of a message is too far ahead."""
+    ahead = time_us * 1e-6 - loop_time()
+    if ahead <= farthest:
+        return None
+    text = f"{ahead:.6g} s ahead; at most {farthest:g} s"
+    return failed("invalid_field", text, field=field)
+
+
+def _time_failure(message: TactileFrames) -> Failure | None:
+    """Return what is wrong with the time of tactile frames."""
+    if message.time_us is None:
+        return None
+    if message.latest or message.begin is not None:
+        text = "is for frames that are all played at their times: neither latest nor begin fits it"
+        return failed("invalid_field", text, field="time_us")
+    return _far_failure(message.time_us, "time_us", LONGEST)
 
 
 def _unit_values(

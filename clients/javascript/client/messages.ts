@@ -301,6 +301,10 @@ export interface Append {
  * which is counted as `frame_gaps`; if no frame comes any more, the stream fades out within a
  * tenth of a second. A client has one stream on a display: frames of another rate, or with
  * another `latest`, replace it.
+ *
+ * If the frames have times, they are played at a constant delay after their source made them,
+ * however unevenly they come. A frame that comes after its time is dropped. Where the times of two
+ * messages do not follow each other, to within 1 ms, the signal fades out and in.
  */
 export interface TactileFrames {
   type: "frames";
@@ -330,6 +334,12 @@ export interface TactileFrames {
    * time, else the one that plays.
    */
   begin?: BeginAt | null;
+  /**
+   * Time of the server's monotonic clock at which the first of the frames is to be put out, at
+   * most a second ahead, in a stream whose frames all have times; null for frames that are
+   * played as they come [µs].
+   */
+  time_us?: number | null;
 }
 
 /** Amplitude at a time, an array [time_ms, value]; linear between points. */

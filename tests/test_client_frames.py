@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tactile import client
 from tactile import messages as m
+from tactile.client.session import ClockOffset
 from tactile.client.taxels import Extent, TaxelGrid, default_extent, to_grid
 from tactile.errors import ClientError, InputError
 
@@ -80,6 +81,52 @@ def test_a_frame_that_is_none_is_refused_in_one_line(
             frames.write(frame)
         assert str(caught.value) == text
         assert display.stats().display == "left"
+    assert server.of(m.TactileFrames) == []
+
+
+def test_a_block_is_sent_in_messages_that_follow_each_other(
+    server: ScriptedServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each message has as many frames as it may have, and the time of its first one."""
+    count = 2 * m.MOST_FRAME_VALUES // 2 + 10
+    values = np.linspace(-1, 1, 2 * count, dtype=np.float32).reshape(count, 2)
+    monkeypatch.setattr(ClockOffset, "exchange", lambda *_: None)  # pings would correct it
+    now = time.monotonic()
+    with client.connect(server.url, timeout=PATIENCE) as display:
+        display.connection._session.offset.seconds = 1000.0
+        display.frames(48_000.0, amplitude=1e-6).write_block(values, time=now + 0.5)
+        display.frames(1000.0, amplitude=1e-6).write_block(array("f", [0.5, -1.0]))
+        until(lambda: len(server.of(m.TactileFrames)) == 4)
+    *parts, plain = server.of(m.TactileFrames)
+    assert np.concatenate([values_of(part) for part in parts]).tolist() == values.ravel().tolist()
+    counts = [len(values_of(part)) // 2 for part in parts]
+    assert counts == [m.MOST_FRAME_VALUES // 2] * 2 + [10]
+    began = np.array([part.time_us for part in parts])
+    assert began - began[0] == pytest.approx(1e6 * np.array([0, *np.cumsum(counts)[:2]]) / 48e3)
+    assert began[0] * 1e-6 == pytest.approx(now + 1000.5, abs=1e-6)
+    assert (values_of(plain), plain.time_us) == ([0.5, -1.0], None)
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "when", "text"),
+    [
+        (np.zeros(3, np.float32), {}, 1.0, "frames: 3 values are no frames of 2 each"),
+        (np.zeros(2), {}, 1.0, "frames: is a buffer of format 'd', not of contiguous float32"),
+        (np.zeros((2, 4), np.float32)[:, ::2], {}, 1.0, "not of contiguous float32"),
+        ([0.0, 1.0], {}, 1.0, "frames: [0.0, 1.0] is not a buffer of float32"),
+        (np.zeros(2, np.float32), {}, float("nan"), "time [s]: nan is not a finite number"),
+        (np.zeros(2, np.float32), {"latest": True}, 1.0, "time [s]: is for frames that are all"),
+        (np.zeros(2, np.float32), {"grid": (1, 2)}, None, "not images of a grid"),
+    ],
+)
+def test_a_block_that_is_none_is_refused_in_one_line(
+    server: ScriptedServer, frames: Any, options: dict[str, Any], when: float | None, text: str
+) -> None:
+    with client.connect(server.url, timeout=PATIENCE) as display:
+        writer = display.frames(1000.0, amplitude=1e-6, **options)
+        with pytest.raises(InputError) as caught:
+            writer.write_block(frames, time=when)
+    assert text in str(caught.value)
     assert server.of(m.TactileFrames) == []
 
 

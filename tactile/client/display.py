@@ -160,7 +160,7 @@ class BaseDisplay:
         Parameters
         ----------
         rate : float
-            Rate at which frames are written, 100 Hz … 48 kHz [Hz].
+            Rate at which frames are written, 100 Hz … 192 kHz [Hz].
         amplitude : float
             Shear of a value of 1 [m].
         latest : bool

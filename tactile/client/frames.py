@@ -9,9 +9,9 @@ import msgspec
 from tactile.client.onsets import At
 from tactile.client.session import ClientSession
 from tactile.client.taxels import TaxelGrid, flattened
-from tactile.client.wire import excerpt
+from tactile.client.wire import excerpt, to_microseconds, to_number
 from tactile.errors import InputError
-from tactile.messages import TactileFrames
+from tactile.messages import MOST_FRAME_VALUES, TactileFrames
 
 
 class FrameWriter:
@@ -75,3 +75,69 @@ class FrameWriter:
         begin = self._session.onsets.begin(at)
         message = msgspec.structs.replace(self._message, frames=data.tobytes(), begin=begin)
         self._session.send_streamed(message)
+
+    def write_block(self, frames: Any, *, time: float | None = None) -> None:
+        """Send several frames at once; this never waits, whatever the network does.
+
+        Blocks with a time are played at a constant delay, such as those of a sound card: each frame
+        at its time, however unevenly the blocks come. A block has to come earlier than its time by
+        the latency of the display (`Stats.latency`) and 3 ms, and what the way to the server takes:
+        frames that come too late are counted as ``dropped_frames`` of the display, and the frame
+        before them is held. Where the time of a block is not that at which the block before ends,
+        to within 1 ms, the signal fades out and in.
+
+        Parameters
+        ----------
+        frames : (F, N) buffer of float32
+            Values from −1 to 1 of each contactor, frame by frame, such as an array of numpy; those
+            outside are refused by the server.
+        time : float, optional
+            Time on the clock of `time.monotonic` at which the first frame is to be put out, at most
+            a second ahead [s]. By default frames are played as they come.
+
+        Raises
+        ------
+        InputError
+            If the buffer is not one of whole frames, the time is not a finite number, or the writer
+            is one of the newest frame or of a grid.
+        """
+        if self._grid is not None:
+            raise InputError("frames: a block has a value for each contactor, not images of a grid")
+        if time is not None and self._message.latest:
+            raise InputError("time [s]: is for frames that are all played; make a writer of those")
+        data = _float32(frames)
+        if len(data) % self._values:
+            raise InputError(f"frames: {len(data)} values are no frames of {self._values} each")
+        offset = self._session.offset.seconds
+        begins = None if time is None else to_number(time, "time [s]") + offset
+        most = MOST_FRAME_VALUES // self._values
+        for first in range(0, len(data) // self._values, most):
+            part = data[first * self._values : (first + most) * self._values].tobytes()
+            when = None if begins is None else begins + first / self._message.frame_rate_hz
+            time_us = None if when is None else to_microseconds(when)
+            self._session.send_streamed(
+                msgspec.structs.replace(self._message, frames=part, time_us=time_us)
+            )
+
+
+def _float32(frames: Any) -> "array[float]":
+    """Return the values of a buffer of float32 in the byte order of messages.
+
+    Raises
+    ------
+    InputError
+        If it is not one.
+    """
+    try:
+        view = memoryview(frames)
+    except TypeError:
+        raise InputError(f"frames: {excerpt(frames)} is not a buffer of float32") from None
+    if view.format != "f" or not view.c_contiguous:
+        raise InputError(
+            f"frames: is a buffer of format {view.format!r}, not of contiguous float32; "
+            "see numpy.ascontiguousarray"
+        )
+    data = array("f", view.tobytes())
+    if sys.byteorder == "big":
+        data.byteswap()
+    return data

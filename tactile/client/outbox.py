@@ -13,7 +13,10 @@ from msgspec import structs
 from tactile.messages import MOST_FRAME_VALUES, Command, Contact, EStop, Streamed, TactileFrames
 
 MOST_FRAMES = 8
-"""Maximum number of messages of tactile frames that wait; older ones are dropped."""
+"""Maximum number of messages of tactile frames without times that wait; older ones are dropped."""
+MOST_BYTES = 1 << 22
+"""Maximum size of tactile frames with times that wait, a second of 24 contactors at 44 kHz; older
+ones are dropped [bytes]."""
 
 
 class Outbox:
@@ -72,7 +75,10 @@ class Outbox:
             self._frames[-1] = joined
             return None
         self._frames.append(frames)
-        return self._frames.popleft() if len(self._frames) > MOST_FRAMES else None
+        full = len(self._frames) > MOST_FRAMES
+        if frames.time_us is not None:  # a sound card has a period of many messages at once
+            full = sum(len(waiting.frames) for waiting in self._frames) > MOST_BYTES
+        return self._frames.popleft() if full else None
 
     def take(self, streams: bool = True) -> list[Command]:
         """Take what is to be sent next.

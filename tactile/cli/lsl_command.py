@@ -2,25 +2,20 @@
 
 import signal
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tactile.cli.bridges import INTERRUPTED, choose_display, until_stopped
 from tactile.cli.options import AsJson, emit
 from tactile.cli.printing import plain_console, print_facts
-from tactile.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tactile.client import Connection, RemoteDisplay
     from tactile.lsl import Bridge, BridgeSummary
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as of a shell (128 + SIGINT)."""
 
 
 def run(
@@ -96,41 +91,14 @@ def run(
         console.print(line, soft_wrap=True)
 
     with open_connection(url, client_name="tactile lsl") as connection:
-        bridge = Bridge(_choose(connection, display), settings, tell)
-        with _stopping() as (stop, received), _status(console, bridge):
+        bridge = Bridge(choose_display(connection, display), settings, tell)
+        with until_stopped() as (stop, received), _status(console, bridge):
             bridge.run(stop)
     summary = bridge.summary
     emit(summary.as_dict(), as_json, lambda _: _print(summary))
     if signal.SIGINT in received:
         print("tactile: interrupted", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
-
-
-def _choose(connection: "Connection", name: str | None) -> "RemoteDisplay":
-    """Return the display of a name, or the only one."""
-    names = list(connection.displays)
-    if name is None and len(names) > 1:
-        raise InputError(f"which display? the server has {', '.join(names)}; name one of them")
-    return connection.display(name)
-
-
-@contextmanager
-def _stopping() -> Iterator[tuple[threading.Event, set[int]]]:
-    """Yield an event that SIGINT and SIGTERM set, and the set of those that were received."""
-    stop, received = threading.Event(), set[int]()
-
-    def end(number: int, _: object) -> None:
-        received.add(number)  # once more changes nothing: the bridge ends soon, with its summary
-        stop.set()
-
-    before: dict[int, Any] = {
-        number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield stop, received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

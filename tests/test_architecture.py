@@ -55,14 +55,15 @@ MAP: dict[str, set[str]] = {
     "client": {"clock", "messages", "paths"},
     "local": {"client", "messages", "server"},
     "lsl": {"client", "clock"},
+    "jack": {"client", "clock", "processes"},
     "show": {
         "actuator", "display", "files", "rendering", "sensing", "strength", "texture",
     },
     "study": {"actuator", "clock", "display", "files", "show"},
     "bench": {"bus", "clock", "devices", "display", "rendering", "texture"},
     "cli": {
-        "bench", "bringup", "bus", "client", "devices", "display", "estop", "files", "lsl",
-        "playback", "sensing", "server", "show", "strength", "study", "texture",
+        "bench", "bringup", "bus", "client", "devices", "display", "estop", "files",
+        "jack", "lsl", "playback", "sensing", "server", "show", "strength", "study", "texture",
     },
     "__main__": {"cli"},
 }  # fmt: skip
@@ -77,6 +78,7 @@ AT_HOME = {
     "numba": {"machine_code"},
     "onnxruntime": {"texture.formats.level_model"},
     "matplotlib": {"show", "study"},
+    "jack": {"jack"},
     "pylsl": {"lsl"},
     "pymoo": {"study"},
     "rich": {"bench.__init__", "cli", "show.effect_view", "show.live", "show.still"},
@@ -87,6 +89,7 @@ PACKAGED = {
     "PIL": "pillow",
     "serial": "pyserial",
     "can": "python-can",
+    "jack": "JACK-Client",
     "distributed": "dask",
     "prometheus_client": "prometheus-client",
     "tomli_w": "tomli-w",
@@ -308,6 +311,7 @@ def test_every_library_is_a_declared_dependency() -> None:
         *extras["picture"],
         *extras["onnx"],
         *extras["lsl"],
+        *extras["jack"],
         *extras["study"],
     ]
     names = {entry.partition(">")[0].partition("[")[0].strip() for entry in declared}

@@ -201,7 +201,7 @@ GROUPS = {
     "Create and convert textures": ["convert", "fit", "relief"],
     "Design displays": ["adjust", "materials", "optimize", "paper", "response", "study"],
     "Use devices": ["bench", "budget", "calibrate", "check", "conform", "devices", "finger"],
-    "Run the server and stop displays": ["clear", "estop", "lsl", "serve"],
+    "Run the server and stop displays": ["clear", "estop", "jack", "lsl", "serve"],
 }
 
 

@@ -41,6 +41,7 @@ NOT_RUN = {
     "tactile serve --config packaging/tactile.toml": "runs until it is ended (test_server_running)",
     "tactile show wood-oak --live": "runs until it is ended (test_cli_show)",
     "tactile lsl left --start-from triggers --start go=tap": "runs until it is ended (test_lsl)",
+    "tactile jack left": "runs until it is ended (test_jack)",
     "tactile clear --device URL": "a form and no command",
     "tactile play wood-oak --device serial://PATH": "a form and no command",
     "tactile study … -o study.zarr --scheduler tcp://host:8786": "needs a cluster",

@@ -55,6 +55,7 @@ COMMANDS = {
     "finger": CommandEntry(DEVICES, "Measure the finger that rests on a display."),
     "clear": CommandEntry(SERVE, "Clear an e-stop after a person has checked that it is safe."),
     "estop": CommandEntry(SERVE, "Stop all displays of this machine immediately."),
+    "jack": CommandEntry(SERVE, "Turn a display into a sound card of JACK."),
     "lsl": CommandEntry(SERVE, "Offer a display to the Lab Streaming Layer, for recorders."),
     "serve": CommandEntry(SERVE, "Serve displays to other programs by WebSocket and OSC."),
 }

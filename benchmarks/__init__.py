@@ -22,6 +22,7 @@ from benchmarks.fit import measure_fit
 from benchmarks.friction import measure_friction
 from benchmarks.fuzz import measure_fuzz
 from benchmarks.fuzz_server import measure_fuzz_server
+from benchmarks.jack import measure_jack, measure_jack_long
 from benchmarks.latency import measure_latency, measure_latency_long
 from benchmarks.library import measure_library
 from benchmarks.lsl import measure_lsl
@@ -78,6 +79,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "tactile-frames": measure_tactile_frames,
     "onsets": measure_onsets,
     "lsl": measure_lsl,
+    "jack": measure_jack,
     "page": measure_page,
     "page-position": measure_page_position,
     "waves": measure_waves,
@@ -96,6 +98,7 @@ LONG: dict[str, Benchmark] = {
     "latency-long": measure_latency_long,
     "tactile-frames-long": measure_tactile_frames_long,
     "onsets-long": measure_onsets_long,
+    "jack-long": measure_jack_long,
     "deaths-long": partial(deaths.measure_deaths, deaths.LONG),
     "estop-long": partial(estop.measure_estop, estop.LONG),
     "estop-play": estop.measure_estop_play,

@@ -14,6 +14,7 @@ from tactile.display.display import load_display
 from tactile.playback.block_rendering import SamplePlayback
 from tactile.playback.commands import AddFrames
 from tactile.playback.frame_player import FramePlayer
+from tactile.playback.frame_stream import FrameBuffer
 from tactile.playback.mixer import BlockInput, Mixer
 
 DRIVE = 8000.0
@@ -65,6 +66,7 @@ class Source:
             self._send(now - self.delay / 2, signal)  # blocks are rendered ahead of their time
             self.player.next_time = now
             shear = self.player.take(BLOCK)
+            self.dropped, self.player.dropped = self.dropped + self.player.dropped, 0
             parts.append(np.zeros((BLOCK, len(TONES)), np.float32) if shear is None else shear)
         return np.concatenate(parts)
 
@@ -298,6 +300,22 @@ def test_a_mixer_plays_frames_at_their_times_by_the_clock_of_the_amplifier() -> 
     later = slice(len(times) // 2, None)
     expected = 1e-6 * tones(np.concatenate(times[later]))[:, 0]
     np.testing.assert_allclose(np.concatenate(shear[later]), expected, atol=2e-8)
+
+
+@given(st.lists(st.tuples(st.integers(0, 700), st.integers(-5, 900), st.integers(1, 600))))
+def test_a_buffer_returns_the_frames_that_came(steps: list[tuple[int, int, int]]) -> None:
+    """Compare it with an array of all frames; what was read before is read no more."""
+    buffer, came, oldest = FrameBuffer(1), np.zeros((0, 1), np.float32), -5
+    for added, first, count in steps:
+        new = 1 + np.arange(len(came), len(came) + added, dtype=np.float32)[:, None]
+        buffer.add(new)
+        came = np.concatenate([came, new])
+        oldest = min(max(oldest, first), len(came))
+        expected = np.zeros((count, 1), np.float32)
+        inside = np.arange(max(oldest, 0), min(oldest + count, len(came)))
+        expected[inside - oldest] = came[inside]
+        np.testing.assert_array_equal(buffer.read(oldest, count), expected)
+    assert buffer.end == len(came)
 
 
 def test_frames_too_far_ahead_have_no_room() -> None:

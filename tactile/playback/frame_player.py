@@ -27,6 +27,9 @@ class FramePlayer:
 
     Attributes
     ----------
+    dropped : int
+        Number of frames that waited and are not played, because a clock or their times leapt;
+        whoever counts them sets it to 0.
     next_time : float
         Time at which the next sample is put out [s]. It advances with the samples, and is to be set
         for each block.
@@ -41,7 +44,8 @@ class FramePlayer:
         """Stream that plays until the one that takes its place begins."""
         self._begins = math.nan
         """Time at which that one begins [s]."""
-        self._leapt, self._lost = False, 0
+        self._leapt = False
+        self.dropped = 0
         self.next_time = math.nan
 
     def add(
@@ -107,17 +111,16 @@ class FramePlayer:
                 frames, time, leapt = frames[late:], time + late / frame_rate, True
             stream = TimedFrames(frame_rate, self._drive_rate, self._contactors, time)
             self._stream, self._key = stream, (frame_rate, False, True)
-        late, lost = stream.is_late or leapt, self._lost
-        self._leapt, self._lost = False, 0
+        late, self._leapt = stream.is_late or leapt, False
         stream.set_time(time)
-        return count + lost - stream.add(frames), late
+        return count - stream.add(frames), late
 
     def _leave(self, stream: TimedFrames, begins: float) -> None:
         """Let a stream play until the one that takes its place begins."""
         if self._leaving is None:
             self._leaving = stream
         else:  # one that has not begun has nothing to end
-            self._lost += stream.waiting
+            self.dropped += stream.waiting
         self._begins = begins
 
     def end(self) -> None:
@@ -169,11 +172,11 @@ class FramePlayer:
         time, stream, leaving = self.next_time, self._stream, self._leaving
         self.next_time += count / self._drive_rate
         if isinstance(stream, TimedFrames) and stream.leaps(time):
-            self._lost += stream.waiting
+            self.dropped += stream.waiting
             self.end()
             self._leapt = True
         if leaving is not None and not time < self._begins:
-            self._lost += leaving.waiting
+            self.dropped += leaving.waiting
             self._leaving = None
             self._ending.begin()
         shear: Singles | None = None

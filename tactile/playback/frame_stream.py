@@ -60,6 +60,9 @@ source that stood still sends fewer at once [s]. Assumed."""
 MOST_VALUES = 1 << 22
 """Maximum number of values of the frames that wait: 16 MB, a second of frames of 64 contactors at
 65 kHz."""
+PART = 256
+"""Number of frames of a part of those that wait. Assumed: more than a block depends on as a rule,
+and few enough that another part is allocated quickly."""
 BASE_WORK = 200
 """Work of `LatestFrames` in a block; in units of `tactile.playback.waves`."""
 
@@ -202,7 +205,7 @@ class Pace:
 
 
 class FrameBuffer:
-    """Frames that wait to be read, in the parts in which they came, so that none is moved.
+    """Frames that wait to be read, in parts of one length, so that none is moved.
 
     Parameters
     ----------
@@ -217,7 +220,9 @@ class FrameBuffer:
 
     def __init__(self, contactors: int) -> None:
         self._contactors, self.end = contactors, 0
-        self._parts: deque[tuple[int, Singles]] = deque()
+        self._parts: deque[Singles] = deque()
+        self._first = 0
+        """Number of parts that were forgotten."""
 
     def add(self, frames: Singles) -> None:
         """Add frames at the end.
@@ -227,8 +232,13 @@ class FrameBuffer:
         frames : (F, N) array of float32
             Shear of each contactor [m].
         """
-        self._parts.append((self.end, frames))
-        self.end += len(frames)
+        while len(frames):
+            row = self.end % PART
+            if row == 0:
+                self._parts.append(np.empty((PART, self._contactors), np.float32))
+            some, frames = frames[: PART - row], frames[PART - row :]
+            self._parts[-1][row : row + len(some)] = some
+            self.end += len(some)
 
     def read(self, first: int, count: int) -> Singles:
         """Return frames, and forget those before them.
@@ -245,14 +255,16 @@ class FrameBuffer:
         (F, N) array of float32
             Shear [m]; 0 before the first frame that came and after the last one.
         """
-        while self._parts and self._parts[0][0] + len(self._parts[0][1]) <= first:
+        while self._parts and (self._first + 1) * PART <= first:
             self._parts.popleft()
+            self._first += 1
         window = np.zeros((count, self._contactors), np.float32)
-        for begin, frames in self._parts:
-            low, high = max(begin, first), min(begin + len(frames), first + count)
+        for number, part in enumerate(self._parts, self._first):
+            begin = number * PART
+            low, high = max(begin, first), min(begin + PART, first + count, self.end)
             if low >= high:
                 break
-            window[low - first : high - first] = frames[low - begin : high - begin]
+            window[low - first : high - first] = part[low - begin : high - begin]
         return window
 
 

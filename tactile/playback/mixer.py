@@ -464,6 +464,8 @@ class Mixer:
             dropped = client in work and client not in chosen
             self.dropped_waves += dropped + voice.effect.dropped
             voice.effect.dropped = 0
+            self.dropped_frames += voice.frames.dropped
+            voice.frames.dropped = 0
             reason = NO_TIME if dropped else FADING if self.rendering.fading else ""
             reason = reason or ("" if touching else UNTOUCHED)
             own = [

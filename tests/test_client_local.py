@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 from client_rig import MESSAGES, Script, Twin, opened_session, plain
+from msgspec import structs
 
 from tactile import messages as m
 from tactile.client import websocket
-from tactile.client.outbox import MOST_FRAMES, Outbox
+from tactile.client.outbox import MOST_FRAMES, MOST_TIMED, Outbox
 from tactile.client.session import ClientSession
 from tactile.errors import DisconnectedError
 from tactile.server.decoding import ENCODINGS, read
@@ -138,6 +139,20 @@ def test_frames_that_nobody_takes_stay_within_bounds_and_the_oldest_are_dropped(
     assert len(dropped) == 3
     *_, last = outbox.take()
     assert last == frames(b"last")
+
+
+def test_frames_with_times_wait_in_messages_of_their_own_within_other_bounds() -> None:
+    """Put what a sound card of long cycles sends at once, and more."""
+    dropped: list[m.Streamed] = []
+    outbox = Outbox(dropped.append)
+    messages = [
+        structs.replace(frames(bytes(4 * m.MOST_FRAME_VALUES)), time_us=1000 * k)
+        for k in range(MOST_TIMED + 2)
+    ]
+    for message in messages:
+        outbox.put(message)
+    assert dropped == messages[:2]
+    assert outbox.take() == messages[2:]
 
 
 @pytest.mark.parametrize("protocol", [m.JSON_PROTOCOL, m.MSGPACK_PROTOCOL])

@@ -14,9 +14,9 @@ from tactile.messages import MOST_FRAME_VALUES, Command, Contact, EStop, Streame
 
 MOST_FRAMES = 8
 """Maximum number of messages of tactile frames without times that wait; older ones are dropped."""
-MOST_BYTES = 1 << 22
-"""Maximum size of tactile frames with times that wait, a second of 24 contactors at 44 kHz; older
-ones are dropped [bytes]."""
+MOST_TIMED = 512
+"""Maximum number of messages of tactile frames, if the newest has a time: a sound card sends many
+at once. They are half a second of blocks of a millisecond, and 25 MB at most."""
 
 
 class Outbox:
@@ -75,10 +75,8 @@ class Outbox:
             self._frames[-1] = joined
             return None
         self._frames.append(frames)
-        full = len(self._frames) > MOST_FRAMES
-        if frames.time_us is not None:  # a sound card has a period of many messages at once
-            full = sum(len(waiting.frames) for waiting in self._frames) > MOST_BYTES
-        return self._frames.popleft() if full else None
+        most = MOST_FRAMES if frames.time_us is None else MOST_TIMED
+        return self._frames.popleft() if len(self._frames) > most else None
 
     def take(self, streams: bool = True) -> list[Command]:
         """Take what is to be sent next.

@@ -56,6 +56,8 @@ PERIOD = 128
 SETTLING = 10.0
 """Time for which the tones are played before they are measured [s]. In the first seconds the clock
 of the amplifier is known to some 0.1 ms (`python -m benchmarks clock`)."""
+HEADROOM = 8
+"""Time that the bridge adds to the latency of the display, as it does by default at first [ms]."""
 FULL_SCALE = 10e-6
 """Shear of a value of 1, the default of the command [m]."""
 DISTURBED = 1e-3
@@ -170,6 +172,7 @@ class _Programs:
     def __init__(self, server: ServerProcess, jack_server: str, folder: Path) -> None:
         self._file, self._log = folder / "tones.npz", folder / "programs.log"
         command = [sys.executable, "-m", "tactile", "jack", "--url", server.url, "--json"]
+        command += ["--headroom-ms", str(HEADROOM)]
         code = CLIENT.format(jack_server, f"tactile {NAME}", str(self._file))
         with self._log.open("w") as log:
             self.bridge = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)

@@ -779,27 +779,27 @@ def test_a_delay_is_first_measured_and_then_only_raised() -> None:
 
 
 def test_a_headroom_is_raised_by_half_but_not_beyond_what_is_bearable() -> None:
-    delay, raised = Delay(5e-3, 1e-3), []
+    delay, raised = Delay(5e-3, None), []
     delay.update(5e-3, NOW)
     for step in range(12):
         now = NOW + SETTLING * step
         assert delay.raise_headroom(now) == (1e3 * delay.seconds not in raised)
         assert not delay.raise_headroom(now + 0.9 * SETTLING), "it has just changed"
         raised.append(1e3 * delay.seconds)
-    assert raised[:4] == pytest.approx([5 + 3, 5 + 5, 5 + 7.5, 5 + 11.25])
+    assert raised[:4] == pytest.approx([5 + 12, 5 + 18, 5 + 27, 5 + 40])
     assert raised[-1] == pytest.approx(45)
     assert delay.update(6e-3, now), "the headroom stays"
     assert delay.seconds == pytest.approx(46e-3)
 
 
-def test_a_headroom_that_is_large_is_not_raised() -> None:
-    delay = Delay(5e-3, 0.1)
+def test_a_headroom_of_the_user_is_not_raised() -> None:
+    delay = Delay(5e-3, 8e-3)
     assert not delay.raise_headroom(NOW)
-    assert delay.seconds == pytest.approx(0.105)
+    assert delay.seconds == pytest.approx(13e-3)
 
 
 def test_the_first_measured_delay_settles_before_the_headroom_is_raised() -> None:
-    delay = Delay(20e-3, 8e-3)
+    delay = Delay(20e-3, None)
     delay.update(5e-3, NOW)
     assert not delay.raise_headroom(NOW + 0.9 * SETTLING)
     assert delay.raise_headroom(NOW + SETTLING)

@@ -1,10 +1,13 @@
 """Parts of commands that are programs on a server and run until they are ended."""
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+
+import typer
 
 from tactile.errors import InputError
 
@@ -62,3 +65,20 @@ def until_stopped() -> Iterator[tuple[threading.Event, set[int]]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def exit_if_interrupted(received: set[int]) -> None:
+    """End the command as a shell expects it after Ctrl-C.
+
+    Parameters
+    ----------
+    received : signals that ended the command
+
+    Raises
+    ------
+    typer.Exit
+        If Ctrl-C was among them.
+    """
+    if signal.SIGINT in received:
+        print("tactile: interrupted", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED)

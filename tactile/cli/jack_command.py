@@ -1,14 +1,12 @@
 """The command ``tactile jack``."""
 
-import signal
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tactile.cli.bridges import INTERRUPTED, choose_display, until_stopped
+from tactile.cli.bridges import choose_display, exit_if_interrupted, until_stopped
 from tactile.cli.options import AsJson, emit
 from tactile.cli.printing import plain_console, print_facts
 
@@ -37,12 +35,13 @@ def run(
         typer.Option(help="Shear of a sample of 1 in µm, up to 500. Larger samples are clipped."),
     ] = 10.0,
     headroom_ms: Annotated[
-        float,
+        float | None,
         typer.Option(
             help="Time in ms that is added to the latency of the display, up to 500. Frames that "
-            "come later than that are dropped, and it is then raised by half, up to 40."
+            "come later than that are dropped. By default 8, and raised when that happens, up to "
+            "40."
         ),
-    ] = 8.0,
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Turn a display into a sound card of JACK.
@@ -62,7 +61,8 @@ def run(
     from tactile.jack import SoundCard, SoundCardSettings
     from tactile.jack.library import load_jack
 
-    settings = SoundCardSettings(1e-6 * full_scale_um, 1e-3 * headroom_ms)
+    headroom = None if headroom_ms is None else 1e-3 * headroom_ms
+    settings = SoundCardSettings(1e-6 * full_scale_um, headroom)
     load_jack()  # what is missing is said before anything waits for the server
     console = plain_console(stderr=as_json)
 
@@ -79,9 +79,7 @@ def run(
         if card is not None:
             summary = card.summary
             emit(summary.as_dict(), as_json, lambda _: _print(summary))
-    if signal.SIGINT in received:
-        print("tactile: interrupted", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED)
+    exit_if_interrupted(received)
 
 
 @contextmanager

@@ -1,14 +1,12 @@
 """The command ``tactile lsl``."""
 
-import signal
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tactile.cli.bridges import INTERRUPTED, choose_display, until_stopped
+from tactile.cli.bridges import choose_display, exit_if_interrupted, until_stopped
 from tactile.cli.options import AsJson, emit
 from tactile.cli.printing import plain_console, print_facts
 
@@ -96,9 +94,7 @@ def run(
             bridge.run(stop)
     summary = bridge.summary
     emit(summary.as_dict(), as_json, lambda _: _print(summary))
-    if signal.SIGINT in received:
-        print("tactile: interrupted", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED)
+    exit_if_interrupted(received)
 
 
 @contextmanager

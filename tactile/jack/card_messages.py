@@ -69,7 +69,7 @@ class CardSources:
 
 @dataclass(frozen=True)
 class JackCycle:
-    """What came into the ports in one cycle of JACK.
+    """Frames that came into the ports in one cycle of JACK.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a sound card has done."""
+"""Summary of what a sound card has done."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class SoundCardSummary:
-    """What a sound card has done so far.
+    """Summary of what a sound card has done so far.
 
     Attributes
     ----------

@@ -3,11 +3,11 @@
 TOLERANCE = 0.5e-3
 """Time by which the latency of a display may grow before the delay is raised [s], since each change
 fades the playback out and in. Assumed: a small part of the headroom."""
-STEP = 2e-3
-"""Smallest step by which the headroom is raised [s]. Assumed: a fourth of the default."""
-LARGEST_RAISED = 40e-3
-"""Headroom up to which it is raised [s]. Assumed: longer than a busy machine holds up a program as
-a rule, and a delay that a player still bears."""
+HEADROOM, LARGEST_RAISED = 8e-3, 40e-3
+"""Headroom at first, if the user has set none, and up to which it is raised [s]. The server needs
+3 ms of it. Assumed: the rest is for a program that is held up for a few milliseconds; the largest
+is longer than a busy machine holds up a program as a rule, and a delay that a player still
+bears."""
 SETTLING = 2.0
 """Time after a change of the delay in which the headroom is not raised [s], since the change itself
 costs frames. Assumed: longer than the largest delay."""
@@ -20,8 +20,8 @@ class Delay:
     ----------
     latency : float
         Latency of the display as the server describes it, which counts until it is measured [s].
-    headroom : float
-        Time that is added to it [s].
+    headroom : float or None
+        Time that is added to it and stays; None for one that may be raised [s].
 
     Attributes
     ----------
@@ -29,8 +29,10 @@ class Delay:
         Delay [s].
     """
 
-    def __init__(self, latency: float, headroom: float) -> None:
-        self.seconds, self._headroom = latency + headroom, headroom
+    def __init__(self, latency: float, headroom: float | None) -> None:
+        self._may_rise = headroom is None
+        self._headroom = HEADROOM if headroom is None else headroom
+        self.seconds = latency + self._headroom
         self._was_measured = False
         self._changed = -float("inf")
 
@@ -64,7 +66,7 @@ class Delay:
         return True
 
     def raise_headroom(self, now: float) -> bool:
-        """Raise the headroom by half, unless it is large or the delay has just changed.
+        """Raise the headroom by half, unless it is the user's or the delay has just changed.
 
         Parameters
         ----------
@@ -77,9 +79,9 @@ class Delay:
             Whether it was raised.
         """
         before = self._headroom
-        if before >= LARGEST_RAISED or now - self._changed < SETTLING:
+        if not self._may_rise or before >= LARGEST_RAISED or now - self._changed < SETTLING:
             return False
-        self._headroom = min(max(1.5 * before, before + STEP), LARGEST_RAISED)
+        self._headroom = min(1.5 * before, LARGEST_RAISED)
         self._set(self.seconds + self._headroom - before, now)
         return True
 

@@ -1,4 +1,4 @@
-"""What the server refuses, and for how long nothing is sent to it then."""
+"""Refusals of the server, and the time for which nothing is sent to it then."""
 
 from math import inf
 

@@ -1,4 +1,4 @@
-"""What a sound card plays, as the user chose it."""
+"""Settings of a sound card, as the user chose them."""
 
 from dataclasses import dataclass
 
@@ -7,22 +7,22 @@ from tactile.errors import InputError
 FULL_SCALE, LARGEST_FULL_SCALE = 10e-6, 500e-6
 """Default and largest shear of a sample of 1 [m]. Assumed: a default that is felt clearly at 100 to
 300 Hz and is within the voltage of the reference displays there; the largest is that of the API."""
-HEADROOM, LARGEST_HEADROOM = 8e-3, 0.5
-"""Default and largest time by which frames come earlier than the display needs them [s]. The server
-needs 3 ms of it. Assumed: the rest of the default is for a program that is held up for a few
-milliseconds; the largest keeps frames within the second that the server lets them wait."""
+LARGEST_HEADROOM = 0.5
+"""Largest time by which frames come earlier than the display needs them [s]. It keeps frames within
+the second that the server lets them wait."""
 
 
 @dataclass(frozen=True)
 class SoundCardSettings:
-    """What a sound card plays, and how much later.
+    """Settings of a sound card: what it plays, and how much later.
 
     Attributes
     ----------
     full_scale : float
         Shear of a sample of 1, above 0 and up to 500 µm [m].
-    headroom : float
-        Time that is added to the latency of the display, 0 … 0.5 s [s].
+    headroom : float or None
+        Time that is added to the latency of the display, 0 … 0.5 s; None for one that is raised
+        when frames come too late [s].
 
     Raises
     ------
@@ -31,7 +31,7 @@ class SoundCardSettings:
     """
 
     full_scale: float = FULL_SCALE
-    headroom: float = HEADROOM
+    headroom: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.full_scale <= LARGEST_FULL_SCALE:
@@ -39,7 +39,7 @@ class SoundCardSettings:
                 f"full scale {1e6 * self.full_scale:g} µm: must be above 0 and at most "
                 f"{1e6 * LARGEST_FULL_SCALE:g} µm"
             )
-        if not 0 <= self.headroom <= LARGEST_HEADROOM:
+        if self.headroom is not None and not 0 <= self.headroom <= LARGEST_HEADROOM:
             raise InputError(
                 f"headroom {1e3 * self.headroom:g} ms: must be between 0 and "
                 f"{1e3 * LARGEST_HEADROOM:g} ms"

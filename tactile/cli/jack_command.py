@@ -47,11 +47,11 @@ def run(
     """Turn a display into a sound card of JACK.
 
     Each contactor becomes an input port of a JACK client named after the display, such as
-    "tactile left:contactor 0", and plays what is connected to it as shear. The delay is always the
-    same. The display is armed at the beginning; after an e-stop, or when the server was gone, it
-    plays again when it is armed, as by its page. Waves are 34 dB weaker while no finger touches the
-    display, unless the server has it as worn. The command runs until Ctrl-C, also while JACK or the
-    server are not there, and then prints a summary.
+    "tactile left:contactor 0", and plays what is connected to it as shear. The delay stays the
+    same, if frames come in time. The display is armed at the beginning; after an e-stop, or when
+    the server was gone, it plays again when it is armed, as by its page. Waves are 34 dB weaker
+    while no finger touches the display, unless the server has it as worn. The command runs until
+    Ctrl-C, also while JACK or the server are not there, and then prints a summary.
 
     It needs the library JACK-Client: pip install 'tactile-display[jack]'.
 

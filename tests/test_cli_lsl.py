@@ -8,6 +8,7 @@ import sys
 import threading
 import uuid
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from cli_rig import Command, assert_mistake
@@ -16,9 +17,10 @@ from lsl_rig import loopback as loopback
 from lsl_rig import pylsl
 from rich.console import Console
 
-from tactile import client
+from tactile import client, lsl
 from tactile import messages as m
 from tactile.cli import lsl_command
+from tactile.lsl import Bridge
 
 BLOCK = 4
 
@@ -43,10 +45,10 @@ def unhurried(monkeypatch: pytest.MonkeyPatch, patient_client: None) -> None:
 def telemetry(name: str, first: int) -> m.TelemetryMessage:
     """Return two blocks for two contactors."""
     rows = struct.pack(f"<{4 * BLOCK}f", *range(4 * BLOCK))
+    times = struct.pack("<2d", *(5e6 + 125.0 * (first + BLOCK * k) for k in range(2)))
     samples = m.TelemetrySamples(
         first=first, sample_rate_hz=8000.0, block_samples=BLOCK,
-        times_us=struct.pack("<2d", 5e6, 5e6 + 500), uncertainty_us=20.0,
-        finger_times_us=struct.pack("<2d", 5e6, 5e6 + 500),
+        times_us=times, uncertainty_us=20.0, finger_times_us=times,
         position_mm=bytes(16), velocity_mm_s=bytes(16), normal_force_n=bytes(8),
         touching=(False, True), shear_um=rows, drive_v=rows,
     )  # fmt: skip
@@ -57,8 +59,21 @@ def telemetry(name: str, first: int) -> m.TelemetryMessage:
 
 
 @pytest.fixture
-def recorder(server: ScriptedServer, name: str) -> Iterator[None]:
-    """Send telemetry to who asks for samples, and press Ctrl-C when all streams are there."""
+def bridges(monkeypatch: pytest.MonkeyPatch) -> list[lsl.Bridge]:
+    """Return the bridges that the command makes."""
+    made: list[lsl.Bridge] = []
+
+    def make(*arguments: Any) -> lsl.Bridge:
+        made.append(Bridge(*arguments))
+        return made[-1]
+
+    monkeypatch.setattr(lsl, "Bridge", make)
+    return made
+
+
+@pytest.fixture
+def recorder(server: ScriptedServer, name: str, bridges: list[lsl.Bridge]) -> Iterator[None]:
+    """Send telemetry to who asks for samples, and press Ctrl-C when it is in all streams."""
 
     def act() -> None:
         (asked,) = until(lambda: server.of(m.Subscribe))
@@ -67,6 +82,7 @@ def recorder(server: ScriptedServer, name: str) -> Iterator[None]:
         server.say(telemetry(name, 2 * BLOCK + 5))
         streams = pylsl.resolve_bypred(f"starts-with(name, 'tactile {name} ')", 4, PATIENCE)
         seen.extend(one.name().rpartition(" ")[2] for one in streams)
+        until(lambda: bridges[0].summary.missing)
         server.say(telemetry(name, 4 * BLOCK + 5))  # after the interrupt nobody waits for more
         os.kill(os.getpid(), signal.SIGINT)
 

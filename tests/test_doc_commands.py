@@ -39,6 +39,7 @@ COMMANDS = [c for c in WRITTEN if not any(other.startswith(f"{c} ") for other in
 """Commands of the documents, without those that another one begins with."""
 NOT_RUN = {
     "tactile serve --config packaging/tactile.toml": "runs until it is ended (test_server_running)",
+    "tactile serve --config lab.toml": "runs until it is ended (test_psychopy_example)",
     "tactile show wood-oak --live": "runs until it is ended (test_cli_show)",
     "tactile lsl left --start-from triggers --start go=tap": "runs until it is ended (test_lsl)",
     "tactile jack left": "runs until it is ended (test_jack)",

@@ -28,11 +28,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psychopy
-from psychopy import data, logging
 
 import tactile
 from tactile.client import Onset, RemoteDisplay
+
+try:
+    import psychopy
+    from psychopy import data, logging
+except ModuleNotFoundError as missing:
+    sys.exit(f"{missing}: pip install psychopy")
 
 STANDARD = 0.3  # gain of the weaker stroke, which leaves room for stronger ones
 SPEED, FORCE = 0.08, 0.5  # of the finger on the surface: m/s, N
@@ -130,7 +134,7 @@ class Rehearsal(Screen):
 
 
 @dataclass
-class Played:
+class PlayedStroke:
     """Stroke that was played.
 
     Attributes
@@ -150,7 +154,7 @@ class Played:
 
 def stroke(
     display: RemoteDisplay, texture: str, gain: float, code: int, draw: Callable[[], None]
-) -> Played:
+) -> PlayedStroke:
     """Play a stroke."""
     display.select([(texture, gain)])
     underruns = display.stats().counters["underruns"]
@@ -169,12 +173,12 @@ def stroke(
     if stats.state != "armed":
         raise StoppedError(f"the display is {stats.state}")
     held_up = f"the program was held up for {gap:.2f} s" if gap > LONGEST_GAP else ""
-    return Played(onset, stats.counters["underruns"] - underruns, onset.reason or held_up)
+    return PlayedStroke(onset, stats.counters["underruns"] - underruns, onset.reason or held_up)
 
 
 def both_strokes(
     display: RemoteDisplay, screen: Screen, texture: str, kinds: list[str], gains: dict[str, float]
-) -> tuple[dict[str, Played], int]:
+) -> tuple[dict[str, PlayedStroke], int]:
     """Play both strokes of a trial until they are as they should be; return how often."""
     fault = ""
     for attempt in range(1, ATTEMPTS + 1):

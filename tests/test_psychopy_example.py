@@ -21,6 +21,7 @@ from session_rig import NAME, Story
 from virtual_server import virtual_world
 
 from tactile import messages as m
+from tactile.server.client import Client
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "psychopy"
 BESIDE = Path(sys.prefix).parent / "psychopy" / "bin"
@@ -70,6 +71,19 @@ def table(path: Path) -> list[dict[str, str]]:
 # The table of a session
 
 
+def move_once(story: Story, client: Client) -> None:
+    """Move the finger for one stroke in model time, and lift it."""
+    for k in range(round(250 * STROKE)):
+        contact = m.Contact(
+            display=NAME, position_mm=(80 * k / 250, 0.0), velocity_mm_s=(80.0, 0.0),
+            normal_force_n=0.5,
+        )  # fmt: skip
+        client.stream(contact, story.world.clock.now())
+        story.pause(1 / 250)
+    lift = m.Contact(display=NAME, position_mm=(40.0, 0.0), normal_force_n=0.0)
+    client.stream(lift, story.world.clock.now())
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Return the answers of one trial in model time, and its session, which ends with an e-stop."""
@@ -84,15 +98,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
             story.ask(one, m.Select(display=NAME, layers=layers))
             story.pause(0.5)
             row[f"{kind}_onset_s"] = world.clock.now()
-            for k in range(round(250 * STROKE)):
-                contact = m.Contact(
-                    display=NAME, position_mm=(80 * k / 250, 0.0), velocity_mm_s=(80.0, 0.0),
-                    normal_force_n=0.5,
-                )  # fmt: skip
-                one.stream(contact, world.clock.now())
-                story.pause(1 / 250)
-            lift = m.Contact(display=NAME, position_mm=(40.0, 0.0), normal_force_n=0.0)
-            one.stream(lift, world.clock.now())
+            move_once(story, one)
             row |= {
                 f"{kind}_gain": gain, f"{kind}_uncertainty_s": 1e-6, f"{kind}_marker": 1,
                 f"{kind}_underruns": 0,
@@ -212,7 +218,7 @@ spec = importlib.util.spec_from_file_location("experiment", sys.argv[1])
 experiment = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(experiment)
 onset = SimpleNamespace(time=0.0, uncertainty=None, marker=0)
-played = dict.fromkeys(("standard", "comparison"), experiment.PlayedStroke(onset, 0, ""))
+played = dict.fromkeys(("standard", "comparison"), experiment.StrokeOutcome(onset, 0, ""))
 experiment.both_strokes = lambda display, screen, texture, kinds, gains: (played, 1)
 experiment.Screen.__init__ = lambda self, full: None
 results = []

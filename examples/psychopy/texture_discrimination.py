@@ -134,8 +134,8 @@ class Rehearsal(Screen):
 
 
 @dataclass
-class PlayedStroke:
-    """Stroke that was played.
+class StrokeOutcome:
+    """Outcome of a stroke that was played.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class PlayedStroke:
 
 def stroke(
     display: RemoteDisplay, texture: str, gain: float, code: int, draw: Callable[[], None]
-) -> PlayedStroke:
+) -> StrokeOutcome:
     """Play a stroke."""
     display.select([(texture, gain)])
     underruns = display.stats().counters["underruns"]
@@ -173,12 +173,12 @@ def stroke(
     if stats.state != "armed":
         raise StoppedError(f"the display is {stats.state}")
     held_up = f"the program was held up for {gap:.2f} s" if gap > LONGEST_GAP else ""
-    return PlayedStroke(onset, stats.counters["underruns"] - underruns, onset.reason or held_up)
+    return StrokeOutcome(onset, stats.counters["underruns"] - underruns, onset.reason or held_up)
 
 
 def both_strokes(
     display: RemoteDisplay, screen: Screen, texture: str, kinds: list[str], gains: dict[str, float]
-) -> tuple[dict[str, PlayedStroke], int]:
+) -> tuple[dict[str, StrokeOutcome], int]:
     """Play both strokes of a trial until they are as they should be; return how often."""
     fault = ""
     for attempt in range(1, ATTEMPTS + 1):

@@ -152,12 +152,20 @@ class StrokeOutcome:
     fault: str
 
 
+def late_blocks(display: RemoteDisplay) -> int:
+    """Return how often blocks of an armed display came too late; end if it is not armed."""
+    stats = display.stats()
+    if stats.state != "armed":
+        raise StoppedError(f"the display is {stats.state}")
+    return stats.counters["underruns"]
+
+
 def stroke(
     display: RemoteDisplay, texture: str, gain: float, code: int, draw: Callable[[], None]
 ) -> StrokeOutcome:
     """Play a stroke."""
     display.select([(texture, gain)])
-    underruns = display.stats().counters["underruns"]
+    before = late_blocks(display)
     begin = time.monotonic() + REST
     at = tactile.At(begin, marker=code if display.info.marker_lines else 0)
     display.append([0.0], sample_rate=1000.0, amplitude=0.0, at=at)  # silent, with an onset
@@ -169,11 +177,10 @@ def stroke(
         draw()
         times.append(time.monotonic())
     display.lift()
-    onset, stats, gap = at.onset(), display.stats(), max(b - a for a, b in pairwise(times))
-    if stats.state != "armed":
-        raise StoppedError(f"the display is {stats.state}")
+    onset, gap = at.onset(), max(b - a for a, b in pairwise(times))
+    underruns = late_blocks(display) - before
     held_up = f"the program was held up for {gap:.2f} s" if gap > LONGEST_GAP else ""
-    return StrokeOutcome(onset, stats.counters["underruns"] - underruns, onset.reason or held_up)
+    return StrokeOutcome(onset, underruns, onset.reason or held_up)
 
 
 def both_strokes(

@@ -49,7 +49,18 @@ Row = dict[str, str | int | float]
 
 
 def read_trials(path: Path) -> list[dict[str, str]]:
-    """Return the trials of a file of answers."""
+    """Return the trials of a file of answers.
+
+    Parameters
+    ----------
+    path : Path
+        File that `texture_discrimination.py` wrote.
+
+    Returns
+    -------
+    list of dict
+        A row for each trial, by the names of the columns.
+    """
     with path.open(newline="", encoding="utf-8") as file:
         trials = list(csv.DictReader(file, delimiter="\t"))
     if not trials or "standard_onset_s" not in trials[0]:
@@ -58,7 +69,20 @@ def read_trials(path: Path) -> list[dict[str, str]]:
 
 
 def strokes_of(trials: list[dict[str, str]], begun: float) -> list[Row]:
-    """Return a row for each stroke."""
+    """Return a row for each stroke.
+
+    Parameters
+    ----------
+    trials : list of dict
+        Trials as `read_trials` returns them.
+    begun : float
+        Time at which the session began [s].
+
+    Returns
+    -------
+    list of dict
+        Rows by the names in `COLUMNS`, without the drive.
+    """
     return [
         {
             "onset": float(trial[f"{kind}_onset_s"]) - begun,
@@ -77,7 +101,20 @@ def strokes_of(trials: list[dict[str, str]], begun: float) -> list[Row]:
 
 
 def answers_of(trials: list[dict[str, str]], begun: float) -> list[Row]:
-    """Return a row for each answer."""
+    """Return a row for each answer.
+
+    Parameters
+    ----------
+    trials : list of dict
+        Trials as `read_trials` returns them.
+    begun : float
+        Time at which the session began [s].
+
+    Returns
+    -------
+    list of dict
+        Rows by the names in `COLUMNS`.
+    """
     return [
         {
             "onset": float(trial["question_s"]) - begun,
@@ -94,7 +131,20 @@ def answers_of(trials: list[dict[str, str]], begun: float) -> list[Row]:
 
 
 def events_of(session: tactile.Session, first: float, last: float) -> list[Row]:
-    """Return a row for each event from arming before the first row to disarming after the last."""
+    """Return a row for each event from arming before the first row to disarming after the last.
+
+    Parameters
+    ----------
+    session : Session
+        Recorded session.
+    first, last : float
+        Onsets of the first and the last row, from the beginning of the session [s].
+
+    Returns
+    -------
+    list of dict
+        Rows by the names in `COLUMNS`.
+    """
     begun = session.header.begun_s
     times = [(event["time_s"] - begun, event["kind"]) for event in session.messages]
     begin = max((t for t, kind in times if kind == "armed" and t <= first), default=first)
@@ -113,7 +163,15 @@ def events_of(session: tactile.Session, first: float, last: float) -> list[Row]:
 
 
 def add_drive(strokes: list[Row], session: tactile.Session) -> None:
-    """Add the voltage that was played in each stroke."""
+    """Add the voltage that was played in each stroke.
+
+    Parameters
+    ----------
+    strokes : list of dict
+        Rows of the strokes, to which the RMS and the peak of the drive are added [V].
+    session : Session
+        Recorded session, whose drive is rendered again.
+    """
     times, powers, peaks = [], [], []
     for due, block in session.drives():
         if not isinstance(block, tactile.DriveBlock):
@@ -133,7 +191,22 @@ def add_drive(strokes: list[Row], session: tactile.Session) -> None:
 
 
 def sidecar(trial: dict[str, str], kinds: set[str], session: tactile.Session) -> dict[str, object]:
-    """Return the description of the table, the experiment and the display."""
+    """Return the description of the table, the experiment and the display.
+
+    Parameters
+    ----------
+    trial : dict
+        A trial as `read_trials` returns it; what is taken from it is the same in all.
+    kinds : set of str
+        Values of `trial_type` in the table.
+    session : Session
+        Recorded session.
+
+    Returns
+    -------
+    dict
+        Contents of the sidecar as BIDS defines it.
+    """
     columns: dict[str, object] = {
         name: {"Description": text} | ({"Units": unit} if unit else {})
         for name, (text, unit) in COLUMNS.items()
@@ -164,7 +237,24 @@ def sidecar(trial: dict[str, str], kinds: set[str], session: tactile.Session) ->
 
 
 def write(folder: Path, name: str, rows: list[Row], facts: dict[str, object]) -> Path:
-    """Write the table and its sidecar, and the description of the dataset if there is none."""
+    """Write the table and its sidecar, and the description of the dataset if there is none.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the dataset.
+    name : str
+        Name of the file of answers, from which the names of the others follow.
+    rows : list of dict
+        Rows by the names in `COLUMNS`, in any order.
+    facts : dict
+        Contents of the sidecar.
+
+    Returns
+    -------
+    Path
+        File of the table.
+    """
     path = folder / name.partition("_")[0] / "beh" / name.replace("_beh.tsv", "_events.tsv")
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", encoding="utf-8") as file:

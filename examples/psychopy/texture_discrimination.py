@@ -153,7 +153,23 @@ class StrokeOutcome:
 
 
 def late_blocks(display: RemoteDisplay) -> int:
-    """Return how often blocks of an armed display came too late; end if it is not armed."""
+    """Return how often blocks of a display came too late so far.
+
+    Parameters
+    ----------
+    display : RemoteDisplay
+        Display, which is armed.
+
+    Returns
+    -------
+    int
+        Number of times.
+
+    Raises
+    ------
+    StoppedError
+        If the display is not armed, after an e-stop or because its server was held up.
+    """
     stats = display.stats()
     if stats.state != "armed":
         raise StoppedError(f"the display is {stats.state}")
@@ -163,7 +179,31 @@ def late_blocks(display: RemoteDisplay) -> int:
 def stroke(
     display: RemoteDisplay, texture: str, gain: float, code: int, draw: Callable[[], None]
 ) -> StrokeOutcome:
-    """Play a stroke."""
+    """Play a stroke: a finger that rests, moves from its onset on, and is lifted.
+
+    Parameters
+    ----------
+    display : RemoteDisplay
+        Display, which is armed.
+    texture : str
+        Name of the texture.
+    gain : float
+        Gain of the texture.
+    code : int
+        Code that appears on the marker lines at the onset, if the amplifier has some.
+    draw : callable
+        Function that draws a frame on the screen; called between two contacts.
+
+    Returns
+    -------
+    StrokeOutcome
+        Onset, and whether the stroke was as it should be.
+
+    Raises
+    ------
+    StoppedError
+        If the display is not armed before or after the stroke.
+    """
     display.select([(texture, gain)])
     before = late_blocks(display)
     begin = time.monotonic() + REST
@@ -186,7 +226,33 @@ def stroke(
 def both_strokes(
     display: RemoteDisplay, screen: Screen, texture: str, kinds: list[str], gains: dict[str, float]
 ) -> tuple[dict[str, StrokeOutcome], int]:
-    """Play both strokes of a trial until they are as they should be; return how often."""
+    """Play both strokes of a trial until they are as they should be.
+
+    Parameters
+    ----------
+    display : RemoteDisplay
+        Display, which is armed.
+    screen : Screen
+        Screen, which shows the number of the stroke.
+    texture : str
+        Name of the texture.
+    kinds : list of str
+        "standard" and "comparison" in their order.
+    gains : dict
+        Gain of each of them.
+
+    Returns
+    -------
+    dict
+        Outcome of each of them.
+    int
+        Number of times that the trial was played.
+
+    Raises
+    ------
+    StoppedError
+        If no attempt was as it should be, or the display is not armed.
+    """
     fault = ""
     for attempt in range(1, ATTEMPTS + 1):
         played = {}
@@ -201,7 +267,18 @@ def both_strokes(
 
 
 def begin_quest(trials: int) -> data.QuestPlusHandler:
-    """Return the procedure that chooses the difference of each trial [dB]."""
+    """Return the procedure that chooses the difference of each trial.
+
+    Parameters
+    ----------
+    trials : int
+        Number of trials.
+
+    Returns
+    -------
+    QuestPlusHandler
+        Procedure, whose levels are Weber fractions [dB].
+    """
     return data.QuestPlusHandler(
         trials, LEVELS, LEVELS, SLOPES, [GUESS], [LAPSE], ["right", "wrong"], stimScale="dB"
     )
@@ -213,7 +290,24 @@ def run(
     quest: data.QuestPlusHandler,
     options: argparse.Namespace,
 ) -> None:
-    """Run all trials, each of which is in the file before the next one begins."""
+    """Run all trials, each of which is in the file before the next one begins.
+
+    Parameters
+    ----------
+    display : RemoteDisplay
+        Display, which is armed.
+    screen : Screen
+        Screen and keyboard, or a rehearsal.
+    quest : QuestPlusHandler
+        Procedure that chooses the differences, as `begin_quest` returns it.
+    options : Namespace
+        Options of the command line.
+
+    Raises
+    ------
+    StoppedError
+        If Escape was pressed, the display is not armed, or a trial fails again and again.
+    """
     order = random.Random(options.seed)
     for number, level in enumerate(quest, 1):
         weber = 10 ** (level / 20)
@@ -243,7 +337,15 @@ def run(
 
 
 def append(path: Path, row: dict[str, object]) -> None:
-    """Append a row to a table, which begins with the names of the columns."""
+    """Append a row to a table, which begins with the names of the columns.
+
+    Parameters
+    ----------
+    path : Path
+        File of the table.
+    row : dict
+        Values by the names of the columns.
+    """
     begins = not path.exists()
     with path.open("a", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, row, delimiter="\t", lineterminator="\n")
@@ -253,7 +355,18 @@ def append(path: Path, row: dict[str, object]) -> None:
 
 
 def describe(quest: data.QuestPlusHandler) -> str:
-    """Return the threshold with the interval of one standard deviation of its posterior."""
+    """Return the threshold with the interval of one standard deviation of its posterior.
+
+    Parameters
+    ----------
+    quest : QuestPlusHandler
+        Procedure after the last trial.
+
+    Returns
+    -------
+    str
+        Weber fraction and its interval.
+    """
     share = quest.posterior["threshold"]
     mean = float(share @ LEVELS)
     deviation = math.sqrt(float(share @ (LEVELS - mean) ** 2))

@@ -14,6 +14,8 @@ PROGRAM = """
 import os, signal, sys
 from tactile.cli import main
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+
 class Interrupting:
     def find_spec(self, name, path=None, target=None):
         if name == {module!r}:
